@@ -1,0 +1,3 @@
+//! pb-bake.
+
+fn main() {}

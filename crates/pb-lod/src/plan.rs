@@ -1,0 +1,108 @@
+//! What every other crate sees of a level-of-detail scheme: a frame goes in, a plan comes out.
+//!
+//! `select(&Frame) -> Plan` is deterministic: no GPU, no clock, no threads. Chunks are named by the
+//! archive's chunk index; what is inside a chunk is the scheme's own business.
+
+use glam::{DVec3, Vec4};
+
+/// Index of a chunk in the archive's chunk table: the unit of I/O and of residency.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ChunkId(pub u32);
+
+/// One camera. World space is the input's space, in input units.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Eye position, world space.
+    pub eye: DVec3,
+    /// Frustum planes relative to the eye: `dot(plane.xyz, p - eye) + plane.w >= 0` inside.
+    pub planes: Vec<Vec4>,
+    /// Angle that one pixel covers at the image centre, radians.
+    pub pixel_angle: f32,
+}
+
+/// How the switch distances of the display rule are filled (design section 4).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Detail {
+    /// Screen-space error: a level is used where its measured error projects to at most this many pixels.
+    ErrorPx(f32),
+    /// The paper's bands: `D_i = (2^i - 1) k + s`, world units.
+    Bands {
+        /// Band size k, world units.
+        k: f32,
+        /// Bias s, world units.
+        s: f32,
+    },
+}
+
+/// Everything that selection may depend on.
+#[derive(Clone, Debug)]
+pub struct Frame<'a> {
+    /// The cameras of this frame; a chunk is wanted at the finest level that any of them wants.
+    pub views: &'a [View],
+    /// Per chunk: true when it is in VRAM and may be drawn.
+    pub resident: &'a [bool],
+    /// Per chunk: true when the cache would like it back; its cluster's floor rises until it is free.
+    pub retiring: &'a [bool],
+    /// Allowed error or bands.
+    pub detail: Detail,
+    /// Upper bound for the bytes of all chunks that this frame wants resident; the error rises until it holds.
+    pub vram_budget_bytes: u64,
+    /// Seconds since the last frame: how far residency floors may move. `f32::INFINITY` settles them at once.
+    pub dt_secs: f32,
+}
+
+/// Priority class of a want, the paper's section 4.1: higher is more urgent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Class {
+    /// May be needed: RAM.
+    Maybe,
+    /// About to be drawn: VRAM.
+    Soon,
+    /// Drawn now: VRAM.
+    Now,
+}
+
+/// One chunk that a plan would like to have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Want {
+    /// Which chunk.
+    pub chunk: ChunkId,
+    /// How urgent.
+    pub class: Class,
+    /// Screen-space error in pixels if it is missing: the order inside a class, largest first.
+    pub error_px: f32,
+}
+
+/// One indexed draw of a cluster.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Draw {
+    /// Cluster index.
+    pub cluster: u32,
+    /// Level whose index buffer is drawn.
+    pub level: u32,
+}
+
+/// What to draw, what to load, what may go.
+#[derive(Clone, Debug, Default)]
+pub struct Plan {
+    /// Clusters drawn on their own, finest first, then near to far.
+    pub draws: Vec<Draw>,
+    /// Index ranges of the coarse buffer, in indices.
+    pub coarse: Vec<std::ops::Range<u32>>,
+    /// Chunks wanted, most urgent first; includes those already resident.
+    pub wants: Vec<Want>,
+    /// Retiring chunks that nothing drawn depends on any more: the cache may free them now.
+    pub released: Vec<ChunkId>,
+    /// Wanted for this view (class Now) but not resident.
+    pub missing_chunks: u32,
+    /// Residency floors of all clusters for this frame (levels, float).
+    pub floors: Vec<f32>,
+    /// The detail after the budget was applied.
+    pub detail: Option<Detail>,
+    /// Largest projected error of what is drawn, pixels.
+    pub error_px: f32,
+    /// Triangles of all draws and coarse ranges.
+    pub triangles: u64,
+    /// True when floors stand still and nothing wanted is missing.
+    pub settled: bool,
+}

@@ -1,0 +1,124 @@
+//! The display rule (design section 3): the Rust twin of the vertex shader.
+//!
+//! All arithmetic is f32 in the order that the shader uses, so that both agree to rounding and so that two
+//! clusters that share a position compute the same bits for it.
+
+use super::layout::{MAX_LEVELS, Vertex};
+
+/// Switch distances and residency floor of one cluster: `lod` is continuous and never falls with distance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LodTable {
+    /// Number of levels L.
+    pub levels: u32,
+    /// Residency floor m_c, levels.
+    pub floor: f32,
+    /// `distances[i] = D_i`, world units; `D_0 = 0`, strictly increasing.
+    pub distances: [f32; MAX_LEVELS],
+}
+
+impl LodTable {
+    /// Level of detail at distance `d` (world units): `max(m, i + (d - D_i) / (D_{i+1} - D_i))`.
+    pub fn lod(&self, d: f32) -> f32 {
+        let last = self.levels as usize - 1;
+        let mut lod = last as f32;
+        for i in 0..last {
+            if d < self.distances[i + 1] {
+                let w = (d - self.distances[i]) * (1.0 / (self.distances[i + 1] - self.distances[i]));
+                lod = i as f32 + w.clamp(0.0, 1.0);
+                break;
+            }
+        }
+        lod.max(self.floor)
+    }
+}
+
+/// Eye in grid space: an integer cell and the rest, so that differences are exact far from the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridEye {
+    /// Grid cell of the eye.
+    pub cell: [i32; 3],
+    /// Rest, in world units, `eye = origin + cell * quantum + rest`.
+    pub rest: [f32; 3],
+    /// Grid step, world units.
+    pub quantum: f32,
+}
+
+/// One cluster as the display rule sees it: its resident vertices and who its neighbours are.
+pub struct ClusterView<'a> {
+    /// Grid origin.
+    pub origin: [i32; 3],
+    /// Offsets are multiples of `2^shift` quanta.
+    pub shift: u32,
+    /// `n_i` per level.
+    pub counts: &'a [u32],
+    /// Vertices `[0, n_i)` of the finest resident level.
+    pub vertices: &'a [Vertex],
+    /// This cluster's index, which orders the two tables of a border position.
+    pub cluster: u32,
+    /// This cluster's table.
+    pub table: &'a LodTable,
+    /// Neighbours' indices and tables, by slot - 1.
+    pub neighbours: &'a [(u32, LodTable)],
+}
+
+/// A displayed vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Displayed {
+    /// Position relative to the eye, world units.
+    pub position: [f32; 3],
+    /// Normal, not normalised.
+    pub normal: [f32; 3],
+    /// RGBA in 0..=1, sRGB encoded as stored.
+    pub color: [f32; 4],
+}
+
+impl ClusterView<'_> {
+    /// Position of `v` relative to the eye, world units.
+    pub fn position(&self, v: &Vertex, eye: &GridEye) -> [f32; 3] {
+        std::array::from_fn(|k| {
+            let grid = self.origin[k] + ((v.offset[k] as i32) << self.shift);
+            (grid - eye.cell[k]) as f32 * eye.quantum - eye.rest[k]
+        })
+    }
+
+    /// Level of detail of the position of `v`: the larger of this cluster's and the bordering cluster's.
+    /// The two tables are read in the order of their cluster indices, so both clusters run the same sums.
+    pub fn lod(&self, v: &Vertex, eye: &GridEye) -> f32 {
+        let p = self.position(v, eye);
+        let d = (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt();
+        match v.slot() {
+            0 => self.table.lod(d),
+            s => self.table.lod(d).max(self.neighbours[s as usize - 1].1.lod(d)),
+        }
+    }
+
+    fn plain(&self, v: &Vertex, eye: &GridEye) -> Displayed {
+        Displayed { position: self.position(v, eye), normal: v.normal(), color: v.color.map(|c| c as f32 / 255.0) }
+    }
+
+    /// `display(v, i)`: where vertex `index`, drawn by the index buffer of `level`, is shown.
+    pub fn display(&self, index: u32, level: u32, eye: &GridEye) -> Displayed {
+        let last = self.counts.len() as u32 - 1;
+        let (mut v, mut i) = (index, level);
+        while i < last {
+            let fine = &self.vertices[v as usize];
+            let a = if v < self.counts[i as usize + 1] { v } else { fine.parent as u32 };
+            let t = self.lod(fine, eye);
+            if t < (i + 1) as f32 {
+                let w = (t - i as f32).max(0.0);
+                return mix(&self.plain(fine, eye), &self.plain(&self.vertices[a as usize], eye), w);
+            }
+            (v, i) = (a, i + 1);
+        }
+        self.plain(&self.vertices[v as usize], eye)
+    }
+}
+
+fn mix(a: &Displayed, b: &Displayed, w: f32) -> Displayed {
+    let m = |x: f32, y: f32| x + (y - x) * w;
+    Displayed {
+        position: std::array::from_fn(|k| m(a.position[k], b.position[k])),
+        normal: std::array::from_fn(|k| m(a.normal[k], b.normal[k])),
+        color: std::array::from_fn(|k| m(a.color[k], b.color[k])),
+    }
+}

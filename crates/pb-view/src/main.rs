@@ -1,0 +1,3 @@
+//! pb-view.
+
+fn main() {}

@@ -1,0 +1,3 @@
+//! Independent measurements.
+
+fn main() {}
