@@ -1,1 +1,2 @@
 //! pb-mesh
+pub mod mesh;
