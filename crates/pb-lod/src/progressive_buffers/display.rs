@@ -3,6 +3,8 @@
 //! All arithmetic is f32 in the order that the shader uses, so that both agree to rounding and so that two
 //! clusters that share a position compute the same bits for it.
 
+use glam::DVec3;
+
 use super::layout::{MAX_LEVELS, Vertex};
 
 /// Switch distances and residency floor of one cluster: `lod` is continuous and never falls with distance.
@@ -41,6 +43,18 @@ pub struct GridEye {
     pub rest: [f32; 3],
     /// Grid step, world units.
     pub quantum: f32,
+}
+
+impl GridEye {
+    /// The eye (world space) in the grid of a model with this origin and grid step. Farther than 2^30 quanta
+    /// the cell stops, so that differences of cells never overflow, and the rest takes what is left.
+    pub fn new(origin: [f64; 3], quantum: f64, eye: DVec3) -> GridEye {
+        const FARTHEST: f64 = (1u32 << 30) as f64;
+        let local = eye - DVec3::from_array(origin);
+        let cell = (local / quantum).floor().clamp(DVec3::splat(-FARTHEST), DVec3::splat(FARTHEST));
+        let rest = local - cell * quantum;
+        GridEye { cell: cell.as_ivec3().to_array(), rest: rest.as_vec3().to_array(), quantum: quantum as f32 }
+    }
 }
 
 /// One cluster as the display rule sees it: its resident vertices and who its neighbours are.

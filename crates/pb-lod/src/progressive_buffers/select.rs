@@ -1,0 +1,188 @@
+//! Selection: the resident chunks and the views go in, the draws and the wanted chunks come out
+//! (design sections 3, 4, 6, 7; paper sections 3.2 and 4).
+//!
+//! Deterministic: no GPU, clock or thread. The only state is what must be continuous from frame to frame:
+//! the residency floors `m_c` and the detail that the byte budget allows. A plan never draws a level whose
+//! chunks are not resident (I5), and never gives back a chunk that a view still shows.
+
+mod budget;
+mod floors;
+mod tables;
+mod walk;
+
+use std::cmp::Ordering;
+
+pub use tables::SelectTables;
+
+use self::budget::DetailControl;
+use self::floors::Floors;
+use self::tables::Tables;
+use self::walk::{Eyes, Place, Seen, Walk, walk};
+use super::display::LodTable;
+use super::switch::Switch;
+use crate::plan::{Class, Detail, Draw, Frame, Plan, View, Want};
+
+/// A cluster this much nearer (distance ratio) would need its next level: load that about now.
+const SOON_MARGIN: f32 = 0.8;
+/// The same for data that only has to be in RAM. The walk looks no further than this.
+const MAYBE_MARGIN: f32 = 0.5;
+
+/// Chooses levels, residency floors and wants; one per open archive.
+pub struct Selector {
+    tables: Tables,
+    floors: Floors,
+    control: DetailControl,
+}
+
+impl Selector {
+    /// A selector for one archive. At first every cluster stands on its coarsest level.
+    pub fn new(tables: &SelectTables) -> Selector {
+        let tables = Tables::new(tables);
+        let floors = Floors::new(tables.clusters(), tables.levels);
+        Selector { tables, floors, control: DetailControl::default() }
+    }
+
+    /// Errors of a cluster per level, input units, starting at 0 and strictly increasing: what a
+    /// [`Switch`] turns into switch distances, here and on the GPU.
+    pub fn errors(&self, cluster: u32) -> &[f32] {
+        self.tables.errors(cluster)
+    }
+
+    /// The display rule's table of a cluster in one view, with the floors of the last plan.
+    pub fn lod_table(&self, cluster: u32, switch: &Switch) -> LodTable {
+        switch.table(self.errors(cluster), self.floors.floor(cluster))
+    }
+
+    /// Switch distances of all clusters in one view, `cluster * levels + level`, world units: what the GPU reads.
+    pub fn distances(&self, switch: &Switch) -> Vec<f32> {
+        let clusters = 0..self.tables.clusters() as u32;
+        clusters
+            .flat_map(|c| self.errors(c).iter().enumerate().map(|(i, _)| switch.distance(self.errors(c), i)))
+            .collect()
+    }
+
+    /// What to draw, load and give back for this frame. `resident` and `retiring` have one entry per chunk.
+    pub fn select(&mut self, frame: &Frame) -> Plan {
+        let t = &self.tables;
+        assert_eq!(frame.resident.len(), t.chunks(), "one residency flag per chunk");
+        assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
+        let eyes = Eyes::new(frame.views, frame.detail, t);
+        let finest = self.control.finest(frame.detail);
+        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), MAYBE_MARGIN);
+        let (target, now) = self.control.step(frame, |detail| bytes_wanted(t, &walk, detail));
+        let target = Switch::new(target, 1.0, t.quantum);
+        let drawn = Switch::new(now, 1.0, t.quantum);
+
+        let mut plan = Plan { detail: Some(now), ..Plan::default() };
+        let floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+        self.draw(&walk, &eyes, &drawn, &mut plan);
+        self.want(&walk, &target, frame, &mut plan);
+        plan.floors = self.floors.all().to_vec();
+        plan.settled = floors_stand && self.control.settled() && plan.missing_chunks == 0;
+        plan
+    }
+
+    /// Draws and coarse ranges of the visible clusters; triangles; projected error.
+    fn draw(&self, walk: &Walk, eyes: &Eyes, switch: &Switch, plan: &mut Plan) {
+        let t = &self.tables;
+        let coarsest = t.levels - 1;
+        let mut draws: Vec<(Draw, f32)> = Vec::new();
+        let mut ranges: Vec<std::ops::Range<u32>> = walk.coarse.iter().map(|r| t.coarse_indices(r.clone())).collect();
+        plan.error_px = walk.coarse_error_px;
+        for seen in walk.seen.iter().filter(|s| s.place == Place::Visible) {
+            let lod = t.lod(switch, seen.cluster, seen.reach).max(self.floors.floor(seen.cluster));
+            let level = (lod as u32).min(coarsest);
+            plan.error_px = plan.error_px.max(eyes.error_px(t.error_at(seen.cluster, lod), seen.pixel));
+            if level == coarsest {
+                ranges.push(t.coarse_indices(seen.cluster..seen.cluster + 1));
+            } else {
+                plan.triangles += t.triangles(seen.cluster, level) as u64;
+                draws.push((Draw { cluster: seen.cluster, level }, seen.pixel));
+            }
+        }
+        draws.sort_by(|(a, near), (b, far)| {
+            a.level.cmp(&b.level).then(near.total_cmp(far)).then(a.cluster.cmp(&b.cluster))
+        });
+        plan.draws = draws.into_iter().map(|(draw, _)| draw).collect();
+        plan.coarse = merge(ranges);
+        plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
+    }
+
+    /// Wanted chunks, most urgent first.
+    fn want(&self, walk: &Walk, switch: &Switch, frame: &Frame, plan: &mut Plan) {
+        for seen in &walk.seen {
+            self.want_cluster(seen, switch, frame, plan);
+        }
+        plan.wants.sort_by(compare_wants);
+        plan.missing_chunks = plan
+            .wants
+            .iter()
+            .take_while(|w| w.class == Class::Now)
+            .filter(|w| !frame.resident[w.chunk.0 as usize])
+            .count() as u32;
+    }
+
+    fn want_cluster(&self, seen: &Seen, switch: &Switch, frame: &Frame, plan: &mut Plan) {
+        let t = &self.tables;
+        let coarsest = t.levels - 1;
+        let level = |margin: f32| t.lod(switch, seen.cluster, seen.reach * margin) as u32;
+        // Finest level of each class; a class that wants nothing names the coarsest level.
+        let (now, soon, maybe) = match seen.place {
+            Place::Visible => (level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)),
+            Place::Ring => (coarsest, level(1.0), level(MAYBE_MARGIN)),
+            Place::Elsewhere => (coarsest, coarsest, level(1.0)),
+        };
+        for i in maybe..=coarsest {
+            let chunk = t.chunk(seen.cluster, i);
+            let visible_hole = seen.place == Place::Visible && !frame.resident[chunk.0 as usize];
+            if i == coarsest && now == coarsest && !visible_hole {
+                break; // nothing finer is drawn, and the coarse buffer already shows the cluster
+            }
+            let class = match () {
+                _ if i >= now => Class::Now,
+                _ if i >= soon => Class::Soon,
+                _ => Class::Maybe,
+            };
+            let error_px = t.error_if_missing(seen.cluster, i) / seen.pixel;
+            plan.wants.push(Want { chunk, class, error_px });
+        }
+    }
+
+    /// The level whose index buffer may draw a cluster for this view: `floor` of the smallest lod in its
+    /// sphere, rounded towards finer so that the shader's f32 never sees a smaller lod at a vertex.
+    pub fn drawn_level(&self, cluster: u32, view: &View, detail: Detail) -> u32 {
+        let eyes = Eyes::new(std::slice::from_ref(view), detail, &self.tables);
+        let reach = eyes.reach(&self.tables, cluster).0;
+        let switch = Switch::new(detail, 1.0, self.tables.quantum);
+        let lod = self.tables.lod(&switch, cluster, reach).max(self.floors.floor(cluster));
+        (lod as u32).min(self.tables.levels - 1)
+    }
+}
+
+/// Most urgent first: class, then the larger error, then the smaller chunk id.
+fn compare_wants(a: &Want, b: &Want) -> Ordering {
+    b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
+}
+
+/// Bytes in VRAM if every visible cluster is resident at the level that `detail` asks for.
+fn bytes_wanted(t: &Tables, walk: &Walk, detail: Detail) -> u64 {
+    let switch = Switch::new(detail, 1.0, t.quantum);
+    let finer = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
+        let level = t.lod(&switch, s.cluster, s.reach) as u32;
+        t.bytes_above_coarsest(s.cluster, level)
+    });
+    t.coarse_bytes + finer.sum::<u64>()
+}
+
+/// Sorts ranges and joins those that touch.
+fn merge(mut ranges: Vec<std::ops::Range<u32>>) -> Vec<std::ops::Range<u32>> {
+    ranges.sort_by_key(|r| r.start);
+    let mut out: Vec<std::ops::Range<u32>> = Vec::new();
+    for range in ranges.into_iter().filter(|r| !r.is_empty()) {
+        match out.last_mut() {
+            Some(last) if last.end == range.start => last.end = range.end,
+            _ => out.push(range),
+        }
+    }
+    out
+}

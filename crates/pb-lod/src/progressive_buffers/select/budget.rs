@@ -1,0 +1,75 @@
+//! The detail that fits a byte budget (design section 4, control): the target is found afresh from the view in
+//! each frame, the detail in use moves towards it slowly, so that a tight budget never makes a jump.
+
+use crate::plan::{Detail, Frame};
+
+/// One step of the ladder of details.
+const STEP: f64 = 1.05;
+/// Rungs of the ladder: 1.05^400 is 3e8 times the error asked for.
+const RUNGS: i32 = 400;
+/// The detail in use changes by at most this factor per second: 3 % at 60 frames per second.
+const RATE_PER_SEC: f64 = 5.9;
+
+/// The detail in use: what the caller asks for, made coarser by `gain`.
+#[derive(Default)]
+pub(super) struct DetailControl {
+    last: Option<(Detail, f64)>,
+    settled: bool,
+}
+
+impl DetailControl {
+    /// The finest detail that the next step can return or ask the cost of.
+    pub fn finest(&self, asked: Detail) -> Detail {
+        coarsened(asked, self.start(asked).min(1.0))
+    }
+
+    /// The finest detail on the ladder whose `bytes` fit the budget, and the detail to use in this frame.
+    pub fn step(&mut self, frame: &Frame, bytes: impl Fn(Detail) -> u64) -> (Detail, Detail) {
+        let fits = |rung: i32| bytes(coarsened(frame.detail, STEP.powi(rung))) <= frame.vram_budget_bytes;
+        let target = STEP.powi(first_that(RUNGS, fits));
+        let reach = RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64);
+        let start = self.start(frame.detail);
+        let gain = match self.last {
+            Some(_) => target.clamp(start / reach, start * reach),
+            None => target,
+        };
+        self.last = Some((frame.detail, gain));
+        self.settled = gain == target;
+        (coarsened(frame.detail, target), coarsened(frame.detail, gain))
+    }
+
+    /// True when the detail in use is the one that the budget allows.
+    pub fn settled(&self) -> bool {
+        self.settled
+    }
+
+    /// The gain over what is asked for now that continues the detail of the last frame.
+    fn start(&self, asked: Detail) -> f64 {
+        match (self.last, asked) {
+            (Some((Detail::ErrorPx(before), gain)), Detail::ErrorPx(now)) => gain * (before / now) as f64,
+            (Some((Detail::Bands { .. }, gain)), Detail::Bands { .. }) => gain,
+            _ => 1.0,
+        }
+    }
+}
+
+/// `detail` with its error multiplied, or its bands divided, by `gain`.
+fn coarsened(detail: Detail, gain: f64) -> Detail {
+    match detail {
+        Detail::ErrorPx(tau) => Detail::ErrorPx((tau as f64 * gain) as f32),
+        Detail::Bands { k, s } => Detail::Bands { k: (k as f64 / gain) as f32, s: (s as f64 / gain) as f32 },
+    }
+}
+
+/// Smallest rung in `0..last` for which `fits` holds, or `last`; `fits` never turns false again.
+fn first_that(last: i32, fits: impl Fn(i32) -> bool) -> i32 {
+    if fits(0) {
+        return 0;
+    }
+    let (mut below, mut above) = (0, last);
+    while above - below > 1 {
+        let middle = (below + above) / 2;
+        if fits(middle) { above = middle } else { below = middle }
+    }
+    above
+}

@@ -1,0 +1,185 @@
+//! What selection keeps of an archive: about 100 bytes per cluster, and nothing that needs the file again.
+
+use glam::DVec3;
+
+use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
+use super::super::switch::{Switch, increasing, min_step};
+use crate::plan::ChunkId;
+
+/// The archive's tables as selection reads them once; see [`super::super::layout`] for each.
+#[derive(Clone, Copy)]
+pub struct SelectTables<'a> {
+    /// The whole model.
+    pub model: &'a ModelRecord,
+    /// Clusters in the leaf order of the tree.
+    pub clusters: &'a [ClusterRecord],
+    /// `cluster * levels + level`.
+    pub levels: &'a [LevelRecord],
+    /// Concatenated neighbour lists.
+    pub neighbours: &'a [u32],
+    /// The coarse buffer hierarchy; node 0 is the root.
+    pub nodes: &'a [NodeRecord],
+    /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget.
+    pub chunk_bytes: &'a [u64],
+}
+
+/// A sphere in world units, relative to the model's origin.
+#[derive(Clone, Copy)]
+pub(super) struct Sphere {
+    pub center: [i32; 3],
+    pub radius: f32,
+}
+
+/// A node of the tree, reduced to what the walk needs.
+#[derive(Clone, Copy)]
+pub(super) struct Node {
+    pub sphere: Sphere,
+    pub first: u32,
+    pub count: u32,
+    pub children: Option<[u32; 2]>,
+    /// Largest (increasing) error of the coarsest level below this node, input units.
+    pub error: f32,
+}
+
+pub(super) struct Tables {
+    pub origin: DVec3,
+    pub quantum: f64,
+    pub levels: u32,
+    /// Bytes of all coarsest chunks: always resident.
+    pub coarse_bytes: u64,
+    pub nodes: Vec<Node>,
+    spheres: Vec<Sphere>,
+    /// `cluster * levels + level`, increasing in level, 0 at level 0.
+    errors: Vec<f32>,
+    triangles: Vec<u32>,
+    /// Bytes of the chunks `level .. levels - 1` of the cluster.
+    finer_bytes: Vec<u64>,
+    /// First index of each cluster in the coarse buffer, and the end of the last.
+    coarse_first: Vec<u32>,
+    /// First neighbour of each cluster, and the end of the last.
+    neighbours_first: Vec<u32>,
+    neighbours: Vec<u32>,
+}
+
+impl Tables {
+    pub fn new(t: &SelectTables) -> Tables {
+        let (levels, count) = (t.model.levels as usize, t.clusters.len());
+        assert!(levels >= 1 && t.levels.len() == count * levels && t.chunk_bytes.len() == count * levels);
+        let quantum = t.model.quantum;
+        let mut out = Tables {
+            origin: DVec3::from_array(t.model.origin),
+            quantum,
+            levels: t.model.levels,
+            coarse_bytes: t.chunk_bytes.iter().skip(levels - 1).step_by(levels).sum(),
+            nodes: Vec::new(),
+            spheres: t.clusters.iter().map(|c| Sphere { center: c.center, radius: c.radius }).collect(),
+            errors: Vec::with_capacity(count * levels),
+            triangles: t.levels.iter().map(|l| l.triangles).collect(),
+            finer_bytes: vec![0; count * levels],
+            coarse_first: vec![0],
+            neighbours_first: vec![0],
+            neighbours: Vec::with_capacity(t.neighbours.len()),
+        };
+        for (c, cluster) in t.clusters.iter().enumerate() {
+            let rows = &t.levels[c * levels..][..levels];
+            let errors = increasing(rows.iter().map(|l| l.error), min_step(quantum));
+            out.errors.extend_from_slice(&errors[..levels]);
+            for i in (0..levels - 1).rev() {
+                out.finer_bytes[c * levels + i] = out.finer_bytes[c * levels + i + 1] + t.chunk_bytes[c * levels + i];
+            }
+            out.coarse_first.push(out.coarse_first[c] + rows[levels - 1].triangles * 3);
+            let list =
+                cluster.neighbours_first as usize..(cluster.neighbours_first + cluster.neighbours_count) as usize;
+            out.neighbours.extend_from_slice(&t.neighbours[list]);
+            out.neighbours_first.push(out.neighbours.len() as u32);
+        }
+        out.nodes = out.reduce(t.nodes);
+        out
+    }
+
+    /// The tree with, per node, the largest error that the display rule can use below it.
+    fn reduce(&self, nodes: &[NodeRecord]) -> Vec<Node> {
+        let coarsest = self.levels - 1;
+        let node = |n: &NodeRecord| Node {
+            sphere: Sphere { center: n.center, radius: n.radius },
+            first: n.first_cluster,
+            count: n.cluster_count,
+            children: (n.left != u32::MAX).then_some([n.left, n.right]),
+            error: (n.first_cluster..n.first_cluster + n.cluster_count)
+                .map(|c| self.error(c, coarsest))
+                .fold(0.0, f32::max),
+        };
+        nodes.iter().map(node).collect()
+    }
+
+    pub fn clusters(&self) -> usize {
+        self.spheres.len()
+    }
+
+    pub fn chunks(&self) -> usize {
+        self.errors.len()
+    }
+
+    fn row(&self, cluster: u32, level: u32) -> usize {
+        (cluster * self.levels + level) as usize
+    }
+
+    pub fn chunk(&self, cluster: u32, level: u32) -> ChunkId {
+        ChunkId(self.row(cluster, level) as u32)
+    }
+
+    pub fn sphere(&self, cluster: u32) -> Sphere {
+        self.spheres[cluster as usize]
+    }
+
+    pub fn errors(&self, cluster: u32) -> &[f32] {
+        &self.errors[self.row(cluster, 0)..][..self.levels as usize]
+    }
+
+    fn error(&self, cluster: u32, level: u32) -> f32 {
+        self.errors[self.row(cluster, level)]
+    }
+
+    /// Error at a fractional level, input units.
+    pub fn error_at(&self, cluster: u32, lod: f32) -> f32 {
+        let level = (lod as u32).min(self.levels - 1);
+        let fine = self.error(cluster, level);
+        match level + 1 < self.levels {
+            true => fine + (self.error(cluster, level + 1) - fine) * (lod - level as f32),
+            false => fine,
+        }
+    }
+
+    /// Error of what is drawn instead of `level` where its chunk is missing, input units.
+    pub fn error_if_missing(&self, cluster: u32, level: u32) -> f32 {
+        match level + 1 < self.levels {
+            true => self.error(cluster, level + 1),
+            false => (self.sphere(cluster).radius * self.quantum as f32).max(2.0 * self.error(cluster, level)),
+        }
+    }
+
+    pub fn triangles(&self, cluster: u32, level: u32) -> u32 {
+        self.triangles[self.row(cluster, level)]
+    }
+
+    /// Bytes of the chunks `level ..= L-2` of a cluster.
+    pub fn bytes_above_coarsest(&self, cluster: u32, level: u32) -> u64 {
+        self.finer_bytes[self.row(cluster, level)]
+    }
+
+    /// Index range of a run of clusters in the coarse buffer.
+    pub fn coarse_indices(&self, clusters: std::ops::Range<u32>) -> std::ops::Range<u32> {
+        self.coarse_first[clusters.start as usize]..self.coarse_first[clusters.end as usize]
+    }
+
+    pub fn neighbours(&self, cluster: u32) -> &[u32] {
+        let c = cluster as usize;
+        &self.neighbours[self.neighbours_first[c] as usize..self.neighbours_first[c + 1] as usize]
+    }
+
+    /// Level of detail from distance alone: [`super::super::display::LodTable::lod`] without the floor, of a
+    /// reach as [`super::walk::Eyes::reach`] measures it.
+    pub fn lod(&self, switch: &Switch, cluster: u32, reach: f32) -> f32 {
+        switch.table(self.errors(cluster), 0.0).lod(reach)
+    }
+}
