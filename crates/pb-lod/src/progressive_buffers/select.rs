@@ -57,7 +57,7 @@ impl Selector {
     pub fn distances(&self, switch: &Switch) -> Vec<f32> {
         let clusters = 0..self.tables.clusters() as u32;
         clusters
-            .flat_map(|c| self.errors(c).iter().enumerate().map(|(i, _)| switch.distance(self.errors(c), i)))
+            .flat_map(|c| switch.table(self.errors(c), 0.0).distances.into_iter().take(self.errors(c).len()))
             .collect()
     }
 
