@@ -1,1 +1,27 @@
-//! pb-render
+//! Draws progressive buffers with wgpu: what another engine would embed.
+//!
+//! An engine opens a [`Gpu`], makes a [`Renderer`] from an archive's tables and coarsest chunks, uploads and
+//! frees chunks as its cache says, and hands in one [`Scene`] per frame. The display rule runs in the vertex
+//! shader (design section 3); its Rust twin is `pb_lod::progressive_buffers::display`.
+//!
+//! Must never: know of windows, user interfaces, files or threads; decide what is resident or drawn.
+
+mod camera;
+mod error;
+mod gpu;
+mod gpu_model;
+mod heap;
+mod pipelines;
+mod renderer;
+mod tables;
+mod target;
+
+pub use camera::{Camera, grid_eye};
+pub use error::RenderError;
+pub use gpu::Gpu;
+pub use gpu_model::{ChunkData, GpuModel, ModelTables, VramPlan};
+pub use heap::{HeapFull, UNIT_BYTES};
+pub use pipelines::{ColorMode, DISPLAY_WGSL, Style, shader_source};
+pub use renderer::{BACKGROUND_SRGB, Renderer, Scene, Surface};
+pub use tables::{ClusterGpu, DrawArguments, LevelGpu, ViewUniform};
+pub use target::{DEPTH_FORMAT, Offscreen, depth_view};

@@ -1,0 +1,317 @@
+//! A model on the adapter: its tables, the coarse buffer, and the heap of resident chunks.
+//!
+//! All buffers that hold model data are made here, once, inside one byte bound; nothing grows later.
+//! Must never: exceed the bound; read the archive; decide what is resident (the caller does).
+
+use pb_lod::plan::ChunkId;
+use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, ModelRecord, Vertex};
+use wgpu::BufferUsages;
+
+use crate::error::RenderError;
+use crate::gpu::Gpu;
+use crate::heap::{Heap, HeapFull, Move, UNIT_BYTES};
+use crate::tables::{ClusterGpu, DrawArguments, LevelGpu};
+
+/// Levels per cluster that fit beside the cluster's index in an instance number.
+const LEVEL_SLOTS: u32 = 16;
+
+/// The archive's tables as the renderer reads them once.
+#[derive(Clone, Copy)]
+pub struct ModelTables<'a> {
+    /// The whole model.
+    pub model: &'a ModelRecord,
+    /// Clusters in file order.
+    pub clusters: &'a [ClusterRecord],
+    /// `cluster * levels + level`.
+    pub levels: &'a [LevelRecord],
+    /// Concatenated neighbour lists.
+    pub neighbours: &'a [u32],
+}
+
+impl ModelTables<'_> {
+    fn level_count(&self) -> usize {
+        self.model.levels as usize
+    }
+
+    /// Vertices that `chunk` adds to the coarser ones.
+    fn new_vertices(&self, chunk: usize) -> u32 {
+        let coarser = if (chunk + 1) % self.level_count() == 0 { 0 } else { self.levels[chunk + 1].vertices };
+        self.levels[chunk].vertices - coarser
+    }
+
+    /// Units of the heap that a chunk fills: vertices, then indices.
+    fn units(&self, chunk: usize) -> u32 {
+        self.new_vertices(chunk) + (self.levels[chunk].triangles * 6).div_ceil(UNIT_BYTES as u32)
+    }
+
+    /// Bytes of each chunk in VRAM, `cluster * levels + level`. A coarsest chunk lies in the coarse buffer:
+    /// vertices with their cluster's index, and 32-bit indices.
+    pub fn chunk_vram_bytes(&self) -> Vec<u64> {
+        let coarsest = |chunk: usize| (chunk + 1) % self.level_count() == 0;
+        let bytes = |chunk: usize| match coarsest(chunk) {
+            true => self.new_vertices(chunk) as u64 * 20 + self.levels[chunk].triangles as u64 * 12,
+            false => self.units(chunk) as u64 * UNIT_BYTES,
+        };
+        (0..self.levels.len()).map(bytes).collect()
+    }
+
+    /// Sum of `f` over the coarsest chunks.
+    fn coarse_sum(&self, f: impl Fn(usize) -> u32) -> u64 {
+        (0..self.levels.len()).skip(self.level_count() - 1).step_by(self.level_count()).map(|c| f(c) as u64).sum()
+    }
+
+    fn finer(&self) -> impl Iterator<Item = u32> + '_ {
+        (0..self.levels.len()).filter(|c| (c + 1) % self.level_count() != 0).map(|c| self.units(c))
+    }
+}
+
+/// One decoded chunk: what a level adds to the next coarser one.
+#[derive(Clone, Copy)]
+pub struct ChunkData<'a> {
+    /// Vertices `[n_{level+1}, n_level)`.
+    pub vertices: &'a [Vertex],
+    /// Index buffer of the level, three per triangle, local to the cluster.
+    pub indices: &'a [u16],
+}
+
+/// How the bytes of a bound are spent on a model.
+#[derive(Clone, Copy, Debug)]
+pub struct VramPlan {
+    /// Tables, coarse indices and scratch space, bytes.
+    pub fixed_bytes: u64,
+    /// Vertices of the coarse buffer at the start of the heap, units.
+    coarse_units: u64,
+    /// The whole heap, units.
+    heap_units: u64,
+    largest_units: u32,
+}
+
+impl VramPlan {
+    /// Splits `bound` bytes; `binding_limit` is the largest buffer that a shader can see.
+    /// Fails with the size that would do where the coarsest level does not fit.
+    pub fn new(tables: &ModelTables, bound: u64, binding_limit: u64) -> Result<Self, RenderError> {
+        let chunks = tables.levels.len() as u64;
+        let clusters = tables.clusters.len() as u64;
+        let coarse_units = tables.coarse_sum(|c| tables.new_vertices(c));
+        let largest_units = tables.finer().max().unwrap_or(0);
+        let coarse_index_bytes = tables.coarse_sum(|c| tables.levels[c].triangles) * 12;
+        let per_cluster = (size_of::<ClusterGpu>() + size_of::<DrawArguments>() + size_of::<f32>()) as u64;
+        let per_chunk = (size_of::<LevelGpu>() + size_of::<f32>()) as u64;
+        let fixed_bytes = clusters * per_cluster
+            + chunks * per_chunk
+            + tables.neighbours.len().max(1) as u64 * 4
+            + coarse_units * 4
+            + coarse_index_bytes
+            + largest_units as u64 * UNIT_BYTES;
+        let needed = fixed_bytes + coarse_units * UNIT_BYTES;
+        let largest_bound = fixed_bytes + binding_limit.min(u32::MAX as u64 * UNIT_BYTES);
+        if needed > bound.min(largest_bound) {
+            return Err(RenderError::BoundTooSmall { needed, bound: bound.min(largest_bound) });
+        }
+        let slack = largest_units as u64 / 8 + 17;
+        let whole = coarse_units + tables.finer().map(u64::from).sum::<u64>() + slack;
+        let heap_units = ((bound.min(largest_bound) - fixed_bytes) / UNIT_BYTES).min(whole);
+        Ok(Self { fixed_bytes, coarse_units, heap_units: heap_units.max(1), largest_units })
+    }
+}
+
+/// Buffers and bookkeeping of one model.
+pub struct GpuModel {
+    pub(crate) levels: u32,
+    pub(crate) clusters: u32,
+    pub(crate) heap_buffer: wgpu::Buffer,
+    pub(crate) cluster_buffer: wgpu::Buffer,
+    pub(crate) level_buffer: wgpu::Buffer,
+    pub(crate) distance_buffer: wgpu::Buffer,
+    pub(crate) floor_buffer: wgpu::Buffer,
+    pub(crate) neighbour_buffer: wgpu::Buffer,
+    pub(crate) coarse_cluster_buffer: wgpu::Buffer,
+    pub(crate) coarse_index_buffer: wgpu::Buffer,
+    pub(crate) argument_buffer: wgpu::Buffer,
+    scratch: wgpu::Buffer,
+    heap: Heap,
+    plan: VramPlan,
+    /// As on the adapter.
+    level_table: Vec<LevelGpu>,
+    /// Vertices that the chunk adds, indices of its level.
+    sizes: Vec<[u32; 2]>,
+    /// First index of each cluster in the coarse buffer, and the end of the last.
+    coarse_first: Vec<u32>,
+}
+
+impl GpuModel {
+    /// Makes all buffers and uploads tables and coarse buffer. `coarse` has the coarsest chunk of each cluster.
+    pub fn new(gpu: &Gpu, t: &ModelTables, coarse: &[ChunkData], bound: u64) -> Result<Self, RenderError> {
+        assert_eq!(coarse.len(), t.clusters.len(), "one coarsest chunk per cluster");
+        assert!(t.model.levels <= LEVEL_SLOTS && t.levels.len() == t.clusters.len() * t.level_count());
+        let plan = VramPlan::new(t, bound, gpu.largest_storage_bytes())?;
+        let buffer = |name: &str, bytes: u64, usage: BufferUsages| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(name),
+                size: bytes.max(4).next_multiple_of(4),
+                usage: usage | BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let storage = BufferUsages::STORAGE;
+        let (clusters, chunks) = (t.clusters.len() as u64, t.levels.len() as u64);
+        let heap_usage = storage | BufferUsages::INDEX | BufferUsages::COPY_SRC;
+        let mut out = Self {
+            levels: t.model.levels,
+            clusters: t.model.clusters,
+            heap_buffer: buffer("heap", plan.heap_units * UNIT_BYTES, heap_usage),
+            cluster_buffer: buffer("clusters", clusters * size_of::<ClusterGpu>() as u64, storage),
+            level_buffer: buffer("levels", chunks * size_of::<LevelGpu>() as u64, storage),
+            distance_buffer: buffer("distances", chunks * 4, storage),
+            floor_buffer: buffer("floors", clusters * 4, storage),
+            neighbour_buffer: buffer("neighbours", t.neighbours.len() as u64 * 4, storage),
+            coarse_cluster_buffer: buffer("coarse clusters", plan.coarse_units * 4, storage),
+            coarse_index_buffer: buffer(
+                "coarse indices",
+                t.coarse_sum(|c| t.levels[c].triangles) * 12,
+                BufferUsages::INDEX,
+            ),
+            argument_buffer: buffer("draws", clusters * size_of::<DrawArguments>() as u64, BufferUsages::INDIRECT),
+            scratch: buffer("scratch", plan.largest_units as u64 * UNIT_BYTES, BufferUsages::COPY_SRC),
+            heap: Heap::new(plan.heap_units as u32, plan.coarse_units as u32, t.levels.len()),
+            plan,
+            level_table: t.levels.iter().map(|l| LevelGpu { vertices: l.vertices, base: 0 }).collect(),
+            sizes: (0..t.levels.len()).map(|c| [t.new_vertices(c), t.levels[c].triangles * 3]).collect(),
+            coarse_first: vec![0],
+        };
+        out.upload_tables(gpu, t);
+        out.upload_coarse(gpu, coarse);
+        Ok(out)
+    }
+
+    fn upload_tables(&self, gpu: &Gpu, t: &ModelTables) {
+        let cluster = |c: &ClusterRecord| ClusterGpu {
+            origin: c.origin,
+            shift: c.shift,
+            neighbours_first: c.neighbours_first,
+            reserved: [0; 3],
+        };
+        let clusters: Vec<ClusterGpu> = t.clusters.iter().map(cluster).collect();
+        gpu.queue.write_buffer(&self.cluster_buffer, 0, bytemuck::cast_slice(&clusters));
+        gpu.queue.write_buffer(&self.neighbour_buffer, 0, bytemuck::cast_slice(t.neighbours));
+    }
+
+    fn upload_coarse(&mut self, gpu: &Gpu, coarse: &[ChunkData]) {
+        let (mut vertices, mut owners, mut indices) = (Vec::<Vertex>::new(), Vec::<u32>::new(), Vec::<u32>::new());
+        let last = self.levels as usize - 1;
+        for (c, chunk) in coarse.iter().enumerate() {
+            let slot = c * self.levels as usize + last;
+            assert_eq!(
+                [chunk.vertices.len() as u32, chunk.indices.len() as u32],
+                self.sizes[slot],
+                "as the table says"
+            );
+            let base = vertices.len() as u32;
+            self.level_table[slot].base = base;
+            vertices.extend_from_slice(chunk.vertices);
+            owners.extend(std::iter::repeat_n(c as u32, chunk.vertices.len()));
+            indices.extend(chunk.indices.iter().map(|&i| base + i as u32));
+            self.coarse_first.push(indices.len() as u32);
+        }
+        gpu.queue.write_buffer(&self.heap_buffer, 0, bytemuck::cast_slice(&vertices));
+        gpu.queue.write_buffer(&self.coarse_cluster_buffer, 0, bytemuck::cast_slice(&owners));
+        gpu.queue.write_buffer(&self.coarse_index_buffer, 0, bytemuck::cast_slice(&indices));
+        gpu.queue.write_buffer(&self.level_buffer, 0, bytemuck::cast_slice(&self.level_table));
+    }
+
+    /// Bytes that the finer chunks may fill together: the byte bound of a cache in front of this model, in the
+    /// bytes of [`ModelTables::chunk_vram_bytes`].
+    pub fn chunk_budget_bytes(&self) -> u64 {
+        self.heap.plannable_units(self.plan.largest_units) as u64 * UNIT_BYTES
+    }
+
+    /// Bytes in use now: tables, coarse buffer, resident chunks. Never more than the bound.
+    pub fn vram_bytes(&self) -> u64 {
+        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES
+    }
+
+    /// Makes a chunk resident; a no-op for the coarsest level, which always is.
+    /// Fails only when chunks of more than [`Self::chunk_budget_bytes`] are resident.
+    pub fn upload(&mut self, gpu: &Gpu, chunk: ChunkId, data: ChunkData) -> Result<(), HeapFull> {
+        let slot = chunk.0 as usize;
+        let [vertices, indices] = self.sizes[slot];
+        assert_eq!([data.vertices.len() as u32, data.indices.len() as u32], [vertices, indices], "as the table says");
+        if self.is_coarsest(slot) || self.heap.range(slot).is_some() {
+            return Ok(());
+        }
+        let units = vertices + (indices * 2).div_ceil(UNIT_BYTES as u32);
+        let (range, moves) = self.heap.allocate(slot, units)?;
+        if !moves.is_empty() {
+            self.carry_out(gpu, &moves);
+        }
+        let mut bytes = vec![0u8; units as usize * UNIT_BYTES as usize];
+        let (head, tail) = bytes.split_at_mut(size_of_val(data.vertices));
+        head.copy_from_slice(bytemuck::cast_slice(data.vertices));
+        tail[..size_of_val(data.indices)].copy_from_slice(bytemuck::cast_slice(data.indices));
+        gpu.queue.write_buffer(&self.heap_buffer, range.first as u64 * UNIT_BYTES, &bytes);
+        self.set_base(gpu, slot);
+        Ok(())
+    }
+
+    /// Takes a chunk out; nothing drawn from now on may need it.
+    pub fn free(&mut self, chunk: ChunkId) {
+        self.heap.free(chunk.0 as usize);
+    }
+
+    /// True when the chunk may be drawn, as far as it alone goes.
+    pub fn is_resident(&self, chunk: ChunkId) -> bool {
+        self.is_coarsest(chunk.0 as usize) || self.heap.range(chunk.0 as usize).is_some()
+    }
+
+    fn is_coarsest(&self, slot: usize) -> bool {
+        (slot + 1) % self.levels as usize == 0
+    }
+
+    /// Tells the shader where a slot's vertices lie.
+    fn set_base(&mut self, gpu: &Gpu, slot: usize) {
+        let range = self.heap.range(slot).expect("the slot was just filled");
+        self.level_table[slot].base = range.first.wrapping_sub(self.level_table[slot + 1].vertices);
+        let offset = (slot * size_of::<LevelGpu>()) as u64;
+        gpu.queue.write_buffer(&self.level_buffer, offset, bytemuck::bytes_of(&self.level_table[slot]));
+    }
+
+    /// Slides ranges of the heap through the scratch buffer, and tells the shader.
+    fn carry_out(&mut self, gpu: &Gpu, moves: &[Move]) {
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        for m in moves {
+            let bytes = m.units as u64 * UNIT_BYTES;
+            encoder.copy_buffer_to_buffer(&self.heap_buffer, m.from as u64 * UNIT_BYTES, &self.scratch, 0, bytes);
+            encoder.copy_buffer_to_buffer(&self.scratch, 0, &self.heap_buffer, m.to as u64 * UNIT_BYTES, bytes);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        for slot in 0..self.level_table.len() {
+            if self.heap.range(slot).is_some() {
+                self.set_base(gpu, slot);
+            }
+        }
+    }
+
+    /// Arguments of the draw of one cluster with the index buffer of `level`, whose chunk is resident.
+    pub(crate) fn arguments(&self, cluster: u32, level: u32) -> DrawArguments {
+        let slot = (cluster * self.levels + level) as usize;
+        let range = self.heap.range(slot).expect("only resident chunks are drawn (I5)");
+        let [vertices, indices] = self.sizes[slot];
+        DrawArguments {
+            index_count: indices,
+            instance_count: 1,
+            first_index: (range.first + vertices) * (UNIT_BYTES as u32 / 2),
+            base_vertex: 0,
+            first_instance: cluster * LEVEL_SLOTS + level,
+        }
+    }
+
+    /// Where a cluster's triangles lie in the coarse buffer, in indices.
+    pub fn coarse_range(&self, cluster: u32) -> std::ops::Range<u32> {
+        self.coarse_first[cluster as usize]..self.coarse_first[cluster as usize + 1]
+    }
+
+    /// Indices of the whole coarse buffer.
+    pub fn coarse_indices(&self) -> u32 {
+        *self.coarse_first.last().expect("starts with 0")
+    }
+}

@@ -1,0 +1,189 @@
+//! Draws a plan: clusters with one indirect call, then ranges of the coarse buffer.
+//!
+//! Must never: decide what to draw; know of windows. The caller hands in a plan, a camera and where to draw.
+
+use glam::Vec3;
+use pb_lod::plan::Plan;
+use pb_lod::progressive_buffers::display::GridEye;
+
+use crate::camera::Camera;
+use crate::error::RenderError;
+use crate::gpu::Gpu;
+use crate::gpu_model::{ChunkData, GpuModel, ModelTables};
+use crate::pipelines::{Pipelines, Style};
+use crate::tables::{DrawArguments, ViewUniform};
+
+/// Behind everything, sRGB encoded: what a fragment that nothing covers shows.
+pub const BACKGROUND_SRGB: [u8; 3] = [38, 42, 48];
+
+/// Where a frame is drawn to.
+pub struct Surface<'a> {
+    /// Colour, in the format that the renderer was made for.
+    pub color: &'a wgpu::TextureView,
+    /// Depth of the same size.
+    pub depth: &'a wgpu::TextureView,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+}
+
+/// What is drawn in one frame.
+pub struct Scene<'a> {
+    /// Draws, coarse ranges and floors.
+    pub plan: &'a Plan,
+    /// Where from.
+    pub camera: &'a Camera,
+    /// The same eye on the model's grid.
+    pub eye: GridEye,
+    /// Colours and debug switches.
+    pub style: Style,
+}
+
+/// A model and the pipelines that draw it.
+pub struct Renderer {
+    /// The model's buffers; chunks are uploaded and freed through it.
+    pub model: GpuModel,
+    pipelines: Pipelines,
+    view_buffer: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+    /// What `distance_buffer` holds.
+    distances: Vec<f32>,
+    multi_draw: bool,
+}
+
+impl Renderer {
+    /// Everything on the adapter for one model, inside `vram_bound` bytes, drawing to `format`.
+    pub fn new(
+        gpu: &Gpu,
+        tables: &ModelTables,
+        coarse: &[ChunkData],
+        vram_bound: u64,
+        format: wgpu::TextureFormat,
+    ) -> Result<Self, RenderError> {
+        let model = GpuModel::new(gpu, tables, coarse, vram_bound)?;
+        let pipelines = Pipelines::new(gpu, format);
+        let view_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("view"),
+            size: size_of::<ViewUniform>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let bind_group = pipelines.bind(gpu, &model, &view_buffer);
+        Ok(Self { model, pipelines, view_buffer, bind_group, distances: Vec::new(), multi_draw: gpu.multi_draw })
+    }
+
+    /// Switches multi-draw off or, where the adapter has it, on. Pictures are the same.
+    pub fn set_multi_draw(&mut self, gpu: &Gpu, on: bool) {
+        self.multi_draw = on && gpu.multi_draw;
+    }
+
+    /// Sets the switch distances of the display rule: `cluster * levels + level`, world units.
+    pub fn set_distances(&mut self, gpu: &Gpu, distances: Vec<f32>) {
+        assert_eq!(distances.len(), (self.model.clusters * self.model.levels) as usize);
+        if distances != self.distances {
+            gpu.queue.write_buffer(&self.model.distance_buffer, 0, bytemuck::cast_slice(&distances));
+            self.distances = distances;
+        }
+    }
+
+    /// Draws a frame over the background. Every chunk that the plan draws, and all coarser ones of its
+    /// cluster, must be resident (I5).
+    pub fn draw(&self, gpu: &Gpu, surface: &Surface, scene: &Scene) {
+        self.write_view(gpu, surface.size, scene);
+        gpu.queue.write_buffer(&self.model.floor_buffer, 0, bytemuck::cast_slice(&scene.plan.floors));
+        let arguments: Vec<DrawArguments> =
+            scene.plan.draws.iter().map(|d| self.model.arguments(d.cluster, d.level)).collect();
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        {
+            let mut pass = begin(&mut encoder, surface);
+            pass.set_bind_group(0, &self.bind_group, &[]);
+            self.draw_clusters(gpu, &mut pass, &arguments, scene.style);
+            self.draw_coarse(&mut pass, scene);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+
+    fn draw_clusters(&self, gpu: &Gpu, pass: &mut wgpu::RenderPass, arguments: &[DrawArguments], style: Style) {
+        if arguments.is_empty() {
+            return;
+        }
+        pass.set_pipeline(self.pipelines.clusters(style));
+        pass.set_index_buffer(self.model.heap_buffer.slice(..), wgpu::IndexFormat::Uint16);
+        if self.multi_draw {
+            gpu.queue.write_buffer(&self.model.argument_buffer, 0, bytemuck::cast_slice(arguments));
+            pass.multi_draw_indexed_indirect(&self.model.argument_buffer, 0, arguments.len() as u32);
+            return;
+        }
+        for a in arguments {
+            pass.draw_indexed(
+                a.first_index..a.first_index + a.index_count,
+                a.base_vertex,
+                a.first_instance..a.first_instance + 1,
+            );
+        }
+    }
+
+    fn draw_coarse(&self, pass: &mut wgpu::RenderPass, scene: &Scene) {
+        if scene.plan.coarse.is_empty() {
+            return;
+        }
+        pass.set_pipeline(self.pipelines.coarse(scene.style));
+        pass.set_index_buffer(self.model.coarse_index_buffer.slice(..), wgpu::IndexFormat::Uint32);
+        for range in &scene.plan.coarse {
+            pass.draw_indexed(range.clone(), 0, 0..1);
+        }
+    }
+
+    fn write_view(&self, gpu: &Gpu, size: [u32; 2], scene: &Scene) {
+        let view = ViewUniform {
+            clip_from_eye: scene.camera.clip_from_eye(size).to_cols_array_2d(),
+            eye_cell: scene.eye.cell,
+            quantum: scene.eye.quantum,
+            eye_rest: scene.eye.rest,
+            levels: self.model.levels,
+            sun: sun(scene.camera).to_array(),
+            color_mode: scene.style.color as u32,
+            show_back_faces: scene.style.show_back_faces as u32,
+            morph: if scene.style.morph { 1.0 } else { 0.0 },
+            reserved: [0; 2],
+        };
+        gpu.queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
+    }
+
+    /// The tables' layout and the frame's bind group, for a pass of the caller's own over the same data.
+    pub fn bindings(&self) -> (&wgpu::BindGroupLayout, &wgpu::BindGroup) {
+        (&self.pipelines.layout, &self.bind_group)
+    }
+}
+
+/// The sun stands high, and to the left of somebody who looks along -z with `up` above.
+fn sun(camera: &Camera) -> Vec3 {
+    let up = camera.up.normalize_or(glam::DVec3::Y).as_vec3();
+    let side = up.any_orthonormal_vector();
+    (up * 1.2 + side * 0.7 + up.cross(side) * 0.5).normalize()
+}
+
+fn begin<'a>(encoder: &'a mut wgpu::CommandEncoder, surface: &Surface) -> wgpu::RenderPass<'a> {
+    let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("clusters"),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view: surface.color,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations {
+                load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
+                store: wgpu::StoreOp::Store,
+            },
+        })],
+        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+            view: surface.depth,
+            depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
+            stencil_ops: None,
+        }),
+        ..Default::default()
+    })
+}
+
+fn linear(srgb: f64) -> f64 {
+    if srgb <= 0.04045 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }
+}

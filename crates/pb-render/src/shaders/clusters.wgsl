@@ -1,0 +1,35 @@
+// Draws clusters, one draw each, and ranges of the coarse buffer. Needs display.wgsl before it.
+
+struct Fragment {
+    @invariant @builtin(position) clip: vec4<f32>,
+    // Relative to the eye, world units.
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    // sRGB encoded.
+    @location(2) color: vec4<f32>,
+    // cluster * 16 + level
+    @location(3) @interpolate(flat) draw: u32,
+    // Some vertex of the triangle: tells triangles apart where there is no primitive index.
+    @location(4) @interpolate(flat) vertex: u32,
+}
+
+fn fragment_of(shown: Displayed, draw: u32, vertex: u32) -> Fragment {
+    let clip = view.clip_from_eye * vec4<f32>(shown.position, 1.0);
+    return Fragment(clip, shown.position, shown.normal, shown.color, draw, vertex);
+}
+
+// Index: local to the cluster. Instance: cluster * 16 + level.
+@vertex
+fn vs_cluster(@builtin(vertex_index) index: u32, @builtin(instance_index) draw: u32) -> Fragment {
+    return fragment_of(display(draw >> 4u, index), draw, index);
+}
+
+// Index: vertex of the coarse buffer, which lies at the start of the heap. Nothing is above the coarsest level,
+// so the walk ends where it starts.
+@vertex
+fn vs_coarse(@builtin(vertex_index) index: u32) -> Fragment {
+    let cluster = coarse_clusters[index];
+    let vertex = heap[index];
+    let shown = plain(cluster, vertex, position_of(cluster, vertex));
+    return fragment_of(shown, cluster * 16u + view.levels - 1u, index);
+}

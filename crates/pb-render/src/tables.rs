@@ -1,0 +1,76 @@
+//! Structs as the shaders see them, byte for byte; a test compares them with display.wgsl.
+
+use bytemuck::{Pod, Zeroable};
+
+/// `View` in display.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ViewUniform {
+    /// Eye-relative world space to clip space, by columns.
+    pub clip_from_eye: [[f32; 4]; 4],
+    /// Grid cell of the eye.
+    pub eye_cell: [i32; 3],
+    /// Grid step, world units.
+    pub quantum: f32,
+    /// Eye relative to its cell, world units.
+    pub eye_rest: [f32; 3],
+    /// Number of levels L.
+    pub levels: u32,
+    /// Unit vector to the sun, world space.
+    pub sun: [f32; 3],
+    /// 0 shaded, 1 level, 2 cluster, 3 triangle.
+    pub color_mode: u32,
+    /// 1 paints back faces in magenta.
+    pub show_back_faces: u32,
+    /// 1, or 0 to snap between levels.
+    pub morph: f32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// `Cluster` in display.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct ClusterGpu {
+    /// Grid point that vertex offsets are relative to.
+    pub origin: [i32; 3],
+    /// Vertex offsets are multiples of `2^shift` quanta.
+    pub shift: u32,
+    /// First entry in the neighbour list.
+    pub neighbours_first: u32,
+    /// Zero.
+    pub reserved: [u32; 3],
+}
+
+/// `Level` in display.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct LevelGpu {
+    /// Vertices of this level, the prefix `[0, vertices)` of the cluster.
+    pub vertices: u32,
+    /// Vertex `v` that dies at this level is entry `base + v` of the heap, modulo 2^32.
+    pub base: u32,
+}
+
+/// Arguments of one indexed draw, as the adapter reads them.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct DrawArguments {
+    /// Number of indices.
+    pub index_count: u32,
+    /// 1.
+    pub instance_count: u32,
+    /// First index, counted in u16 from the start of the heap.
+    pub first_index: u32,
+    /// 0: indices are local to their cluster.
+    pub base_vertex: i32,
+    /// `cluster * 16 + level`.
+    pub first_instance: u32,
+}
+
+const _: () = {
+    assert!(size_of::<ViewUniform>() == 128);
+    assert!(size_of::<ClusterGpu>() == 32);
+    assert!(size_of::<LevelGpu>() == 8);
+    assert!(size_of::<DrawArguments>() == 20);
+};
