@@ -19,6 +19,6 @@ pub use error::{ArchiveError, Fault};
 pub use format::{
     ALIGNMENT, CHUNK_TABLE, ChunkRecord, FEATURES, FORMAT_VERSION, FeatureRecord, Header, MAGIC, SectionRecord,
 };
-pub use reader::Archive;
+pub use reader::{Archive, Table};
 pub use storage::{FileStorage, Overwrite, Storage};
 pub use writer::{Feature, Writer};

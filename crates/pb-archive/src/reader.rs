@@ -6,6 +6,8 @@ use crate::error::{ArchiveError, Fault, tag_text};
 use crate::format::*;
 use bytemuck::Pod;
 use std::fs::File;
+use std::marker::PhantomData;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -15,7 +17,14 @@ pub struct Archive {
     bytes: Bytes,
     header: Header,
     sections: Vec<SectionRecord>,
-    chunks: std::ops::Range<usize>,
+    chunks: Range<usize>,
+}
+
+/// Where a section of `T`s lies in one archive.
+#[derive(Clone, Debug)]
+pub struct Table<T> {
+    range: Range<usize>,
+    element: PhantomData<T>,
 }
 
 enum Bytes {
@@ -92,6 +101,22 @@ impl Archive {
         elements(self.bytes.all(), record).map_err(fail)
     }
 
+    /// Finds a section once, for quick access with [`rows`](Archive::rows). Fails as [`section`](Archive::section).
+    pub fn table<T: Pod>(&self, tag: [u8; 4]) -> Result<Table<T>, ArchiveError> {
+        self.section::<T>(tag)?;
+        let record = self.sections.iter().find(|s| s.tag == tag).expect("the section was found above");
+        let range = record.offset as usize..(record.offset + record.length) as usize;
+        Ok(Table { range, element: PhantomData })
+    }
+
+    /// The elements of a section that was found in this archive.
+    ///
+    /// # Panics
+    /// May panic if `table` comes from another archive.
+    pub fn rows<T: Pod>(&self, table: &Table<T>) -> &[T] {
+        bytemuck::cast_slice(&self.bytes.all()[table.range.clone()])
+    }
+
     /// The chunk table.
     pub fn chunks(&self) -> &[ChunkRecord] {
         bytemuck::cast_slice(&self.bytes.all()[self.chunks.clone()])
@@ -138,7 +163,7 @@ fn map(file: &File) -> std::io::Result<memmap2::Mmap> {
 struct Parsed {
     header: Header,
     sections: Vec<SectionRecord>,
-    chunks: std::ops::Range<usize>,
+    chunks: Range<usize>,
 }
 
 /// The one place where the bytes of a file become header, directory and chunk table.

@@ -1,11 +1,19 @@
 //! Progressive buffers after Sander and Mitchell (SGP 2005), restated with one record per vertex.
 //!
 //! - [`layout`]: what the archive's tables and chunks hold, and nothing else;
+//! - [`codec`]: chunk payloads, packed and unpacked;
+//! - [`write`](mod@write): a finished bake becomes a file;
+//! - [`model`]: a file becomes a checked model;
 //! - [`display`]: the display rule, the Rust twin of the vertex shader;
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
 //! - [`select`]: what to draw, load and give back in a frame.
 
+pub mod codec;
 pub mod display;
 pub mod layout;
+mod level_mesh;
+pub mod model;
+mod model_check;
 pub mod select;
 pub mod switch;
+pub mod write;

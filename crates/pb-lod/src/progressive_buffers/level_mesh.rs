@@ -1,0 +1,81 @@
+//! One level of the whole model as a plain mesh, for other programs and for checks.
+
+use super::model::{Model, ModelError};
+use pb_mesh::mesh::ExportMesh;
+use std::collections::HashMap;
+
+impl Model {
+    /// All clusters at one level, welded: one vertex per grid position, in order of first use by the clusters in
+    /// file order; normals and colours of the records at a position are averaged.
+    ///
+    /// # Panics
+    /// If there is no such level.
+    pub fn export_level(&self, level: u32) -> Result<ExportMesh, ModelError> {
+        assert!(level < self.levels());
+        let mut welder = Welder::default();
+        let mut mesh = ExportMesh::default();
+        for cluster in 0..self.record().clusters {
+            let prefix = self.read_prefix(cluster, level)?;
+            let mut place = vec![u32::MAX; prefix.vertices.len()];
+            let mut corner = |i: u16| {
+                if place[i as usize] == u32::MAX {
+                    let v = &prefix.vertices[i as usize];
+                    place[i as usize] = welder.add(self.grid(cluster, v), v.normal(), v.color);
+                }
+                place[i as usize]
+            };
+            mesh.triangles.extend(prefix.indices.chunks_exact(3).map(|t| [corner(t[0]), corner(t[1]), corner(t[2])]));
+        }
+        mesh.positions = welder.grid.iter().map(|&g| self.world(g).to_array()).collect();
+        mesh.normals = welder.sums.iter().map(|s| normalized(s.normal)).collect();
+        if self.has_colors() {
+            mesh.colors = Some(welder.sums.iter().map(|s| s.color.map(|c| rounded(c, s.records))).collect());
+        }
+        Ok(mesh)
+    }
+}
+
+/// Sums over the records that share a position.
+#[derive(Default)]
+struct Sum {
+    normal: [f32; 3],
+    color: [u32; 4],
+    records: u32,
+}
+
+/// Finds equal positions. The map is only looked up, never walked, so its order is of no matter.
+#[derive(Default)]
+struct Welder {
+    index: HashMap<[i32; 3], u32>,
+    grid: Vec<[i32; 3]>,
+    sums: Vec<Sum>,
+}
+
+impl Welder {
+    fn add(&mut self, grid: [i32; 3], normal: [f32; 3], color: [u8; 4]) -> u32 {
+        let next = self.grid.len() as u32;
+        let index = *self.index.entry(grid).or_insert(next);
+        if index == next {
+            self.grid.push(grid);
+            self.sums.push(Sum::default());
+        }
+        let sum = &mut self.sums[index as usize];
+        for k in 0..3 {
+            sum.normal[k] += normal[k];
+        }
+        for k in 0..4 {
+            sum.color[k] += color[k] as u32;
+        }
+        sum.records += 1;
+        index
+    }
+}
+
+fn normalized(n: [f32; 3]) -> [f32; 3] {
+    let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+    if length > 1e-6 { n.map(|x| x / length) } else { [0.0, 0.0, 1.0] }
+}
+
+fn rounded(sum: u32, records: u32) -> u8 {
+    ((sum + records / 2) / records) as u8
+}

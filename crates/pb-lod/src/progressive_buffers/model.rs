@@ -1,0 +1,287 @@
+//! An archive opened as a progressive-buffers model: tables in place, chunks decoded on demand.
+//!
+//! All tables are compared with one another when the model is opened, and each chunk with its tables when it is
+//! read; so whoever holds a [`Model`] or a [`Chunk`] from it may index without further checks. The deeper promises
+//! (I1, I2, I4, I6), which need whole clusters, are the business of [`verify`](super::verify).
+//!
+//! Must never: panic on any file; change one.
+
+use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
+use super::layout::*;
+use super::{model_check, write::KNOWN_FEATURES};
+use crate::plan::ChunkId;
+use bytemuck::Pod;
+use glam::DVec3;
+use pb_archive::{Archive, ArchiveError, Fault, Table};
+use std::path::{Path, PathBuf};
+
+/// Bit 0 of [`ModelRecord::flags`]: vertices carry colours.
+pub const FLAG_COLORS: u32 = 1;
+
+/// Why an archive is no sound model.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The container is at fault, or the machine.
+    #[error(transparent)]
+    Archive(#[from] ArchiveError),
+    /// Two tables, or a table and itself, contradict one another.
+    #[error("{}: {what}: {why}; the file is damaged or written by a faulty program", path.display())]
+    Table {
+        /// The archive.
+        path: PathBuf,
+        /// Which record.
+        what: String,
+        /// What does not fit.
+        why: String,
+    },
+    /// A chunk that does not decode to what the tables say.
+    #[error("{}: cluster {cluster} level {level} (chunk {}): {fault}; bake the archive again", path.display(), chunk.0)]
+    Chunk {
+        /// The archive.
+        path: PathBuf,
+        /// Which chunk.
+        chunk: ChunkId,
+        /// Its cluster.
+        cluster: u32,
+        /// Its level.
+        level: u32,
+        /// What is wrong with it.
+        fault: ChunkFault,
+    },
+}
+
+impl ModelError {
+    /// True when the machine is at fault (permissions, disk), false when the file is.
+    pub fn is_machine(&self) -> bool {
+        matches!(self, ModelError::Archive(e) if e.is_machine())
+    }
+}
+
+/// What is wrong with a chunk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ChunkFault {
+    /// It does not decode, or its indices are out of range.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// A vertex outside the model's bounds.
+    #[error("vertex {vertex} lies outside the model's bounds")]
+    Bounds {
+        /// Index in the cluster.
+        vertex: u32,
+    },
+    /// A border slot past the neighbour list.
+    #[error("vertex {vertex} has border slot {slot}, but the cluster has {neighbours} neighbours")]
+    Slot {
+        /// Index in the cluster.
+        vertex: u32,
+        /// Its border slot.
+        slot: u8,
+        /// Length of the list.
+        neighbours: u32,
+    },
+}
+
+/// A level of one cluster, ready to draw.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Prefix {
+    /// Vertices `[0, n_level)`, coarsest first.
+    pub vertices: Vec<Vertex>,
+    /// Index buffer of the level.
+    pub indices: Vec<u16>,
+}
+
+/// An open, checked model.
+pub struct Model {
+    archive: Archive,
+    record: ModelRecord,
+    clusters: Table<ClusterRecord>,
+    levels: Table<LevelRecord>,
+    neighbours: Table<u32>,
+    nodes: Table<NodeRecord>,
+    model_levels: Table<ModelLevelRecord>,
+}
+
+impl Model {
+    /// Opens and checks an archive: container, tables, and the tables against one another.
+    pub fn open(path: &Path) -> Result<Self, ModelError> {
+        Self::from_archive(Archive::open(path, KNOWN_FEATURES)?)
+    }
+
+    /// The same on a copy of bytes in memory; `name` is for messages.
+    pub fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self, ModelError> {
+        Self::from_archive(Archive::from_bytes(name, bytes, KNOWN_FEATURES)?)
+    }
+
+    fn from_archive(archive: Archive) -> Result<Self, ModelError> {
+        let scheme = archive.header().scheme;
+        if scheme != SCHEME {
+            let (found, expected) = (scheme.escape_ascii().to_string(), SCHEME.escape_ascii().to_string());
+            return Err(ArchiveError::new(archive.path(), Fault::Scheme { found, expected }).into());
+        }
+        let fail =
+            |what: &str, why: String| ModelError::Table { path: archive.path().to_owned(), what: what.into(), why };
+        let record: &[ModelRecord] = archive.section(MODEL)?;
+        let [record] = record else {
+            return Err(fail("the model record", format!("there are {} of it", record.len())));
+        };
+        let model = Self {
+            record: *record,
+            clusters: archive.table(CLUSTERS)?,
+            levels: archive.table(LEVELS)?,
+            neighbours: archive.table(NEIGHBOURS)?,
+            nodes: archive.table(NODES)?,
+            model_levels: archive.table(MODEL_LEVELS)?,
+            archive,
+        };
+        model_check::check(&model).map_err(|(what, why)| model.table_error(what, why))?;
+        Ok(model)
+    }
+
+    fn table_error(&self, what: String, why: String) -> ModelError {
+        ModelError::Table { path: self.archive.path().to_owned(), what, why }
+    }
+
+    /// The container.
+    pub fn archive(&self) -> &Archive {
+        &self.archive
+    }
+
+    /// The model as a whole.
+    pub fn record(&self) -> &ModelRecord {
+        &self.record
+    }
+
+    /// Number of levels L, 1 to [`MAX_LEVELS`].
+    pub fn levels(&self) -> u32 {
+        self.record.levels
+    }
+
+    /// True when vertices carry colours; else they are white.
+    pub fn has_colors(&self) -> bool {
+        self.record.flags & FLAG_COLORS != 0
+    }
+
+    fn rows<T: Pod>(&self, table: &Table<T>) -> &[T] {
+        self.archive.rows(table)
+    }
+
+    /// All clusters, in leaf order of the hierarchy.
+    pub fn clusters(&self) -> &[ClusterRecord] {
+        self.rows(&self.clusters)
+    }
+
+    /// All levels of all clusters, `cluster * levels + level`.
+    pub fn level_records(&self) -> &[LevelRecord] {
+        self.rows(&self.levels)
+    }
+
+    /// One level of one cluster.
+    pub fn level(&self, cluster: u32, level: u32) -> &LevelRecord {
+        &self.level_records()[self.chunk_id(cluster, level).0 as usize]
+    }
+
+    /// The clusters that share border positions with `cluster`; border slot `k` names entry `k - 1`.
+    pub fn neighbours(&self, cluster: u32) -> &[u32] {
+        let record = &self.clusters()[cluster as usize];
+        &self.neighbour_entries()[record.neighbours_first as usize..][..record.neighbours_count as usize]
+    }
+
+    /// The lists of all clusters in one.
+    pub(super) fn neighbour_entries(&self) -> &[u32] {
+        self.rows(&self.neighbours)
+    }
+
+    /// The coarse buffer hierarchy; node 0 is the root, children come after their parents.
+    pub fn nodes(&self) -> &[NodeRecord] {
+        self.rows(&self.nodes)
+    }
+
+    /// The levels of the whole model, finest first.
+    pub fn model_levels(&self) -> &[ModelLevelRecord] {
+        self.rows(&self.model_levels)
+    }
+
+    /// The chunk that `level` adds in `cluster`.
+    pub fn chunk_id(&self, cluster: u32, level: u32) -> ChunkId {
+        debug_assert!(level < self.levels());
+        ChunkId(cluster * self.levels() + level)
+    }
+
+    /// The inverse of [`chunk_id`](Model::chunk_id): (cluster, level).
+    pub fn chunk_place(&self, chunk: ChunkId) -> (u32, u32) {
+        (chunk.0 / self.levels(), chunk.0 % self.levels())
+    }
+
+    /// The chunk that must be resident before this one (I5); none for the coarsest.
+    pub fn coarser(&self, chunk: ChunkId) -> Option<ChunkId> {
+        (self.chunk_place(chunk).1 + 1 < self.levels()).then_some(ChunkId(chunk.0 + 1))
+    }
+
+    /// The counts of a chunk.
+    pub fn shape(&self, chunk: ChunkId) -> ChunkShape {
+        let records = self.level_records();
+        let record = records[chunk.0 as usize];
+        ChunkShape {
+            first_vertex: self.coarser(chunk).map_or(0, |c| records[c.0 as usize].vertices),
+            end_vertex: record.vertices,
+            triangles: record.triangles,
+        }
+    }
+
+    /// Bytes of a chunk in RAM and in VRAM: 16 per vertex and 2 per index, the latter rounded up to 4.
+    pub fn decoded_bytes(&self, chunk: ChunkId) -> u32 {
+        self.shape(chunk).decoded_bytes()
+    }
+
+    /// Reads, checks and decodes a chunk. May be called from several threads at once.
+    pub fn read_chunk(&self, chunk: ChunkId) -> Result<Chunk, ModelError> {
+        let bytes = self.archive.chunk(chunk.0)?;
+        let (cluster, level) = self.chunk_place(chunk);
+        let fail = |fault| ModelError::Chunk { path: self.archive.path().to_owned(), chunk, cluster, level, fault };
+        let decoded = decode_chunk(bytes, self.shape(chunk)).map_err(|e| fail(e.into()))?;
+        self.check_vertices(cluster, &decoded).map_err(fail)?;
+        Ok(decoded)
+    }
+
+    /// Positions inside the model's bounds, slots inside the neighbour list.
+    fn check_vertices(&self, cluster: u32, chunk: &Chunk) -> Result<(), ChunkFault> {
+        let record = &self.clusters()[cluster as usize];
+        let (low, high) = (self.record.bounds_min, self.record.bounds_max);
+        for (vertex, v) in (chunk.first_vertex..).zip(&chunk.vertices) {
+            let inside = (0..3).all(|k| {
+                let grid = record.origin[k] as i64 + ((v.offset[k] as i64) << record.shift);
+                (low[k] as i64..=high[k] as i64).contains(&grid)
+            });
+            if !inside {
+                return Err(ChunkFault::Bounds { vertex });
+            }
+            if v.slot() as u32 > record.neighbours_count {
+                return Err(ChunkFault::Slot { vertex, slot: v.slot(), neighbours: record.neighbours_count });
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads a whole level of a cluster: the vertices of the chunks `level ... L-1` and the indices of `level`.
+    pub fn read_prefix(&self, cluster: u32, level: u32) -> Result<Prefix, ModelError> {
+        let mut vertices = Vec::with_capacity(self.level(cluster, level).vertices as usize);
+        for coarser in (level + 1..self.levels()).rev() {
+            vertices.extend(self.read_chunk(self.chunk_id(cluster, coarser))?.vertices);
+        }
+        let own = self.read_chunk(self.chunk_id(cluster, level))?;
+        vertices.extend(own.vertices);
+        Ok(Prefix { vertices, indices: own.indices })
+    }
+
+    /// Grid position of a vertex of `cluster`; exact, and inside the model's bounds for vertices of this model.
+    pub fn grid(&self, cluster: u32, v: &Vertex) -> [i32; 3] {
+        let record = &self.clusters()[cluster as usize];
+        std::array::from_fn(|k| record.origin[k].wrapping_add((v.offset[k] as i32) << record.shift))
+    }
+
+    /// World position (input units) of a grid point.
+    pub fn world(&self, grid: [i32; 3]) -> DVec3 {
+        let [x, y, z] = grid.map(f64::from);
+        DVec3::from(self.record.origin) + DVec3::new(x, y, z) * self.record.quantum
+    }
+}

@@ -1,0 +1,59 @@
+//! From a finished bake to a file: the other half of [`model`](super::model).
+
+use super::layout::*;
+use pb_archive::{ArchiveError, Feature, Storage, Writer};
+
+/// Chunks are packed as [`codec`](super::codec) says. A later codec gets another bit.
+pub const CHUNK_CODEC: Feature = Feature { bit: 0, name: "meshopt-chunks" };
+/// The required features that this program reads, as bits.
+pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit;
+
+/// A packed chunk.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct EncodedChunk {
+    /// From [`encode_chunk`](super::codec::encode_chunk).
+    pub bytes: Vec<u8>,
+    /// From [`ChunkShape::decoded_bytes`](super::codec::ChunkShape::decoded_bytes).
+    pub decoded_bytes: u32,
+}
+
+/// All that an archive holds, in memory.
+#[derive(Clone, Debug)]
+pub struct BakedModel {
+    /// The model as a whole.
+    pub record: ModelRecord,
+    /// In leaf order of the hierarchy.
+    pub clusters: Vec<ClusterRecord>,
+    /// `cluster * levels + level`.
+    pub levels: Vec<LevelRecord>,
+    /// The clusters' neighbour lists one after the other, each in rising order.
+    pub neighbours: Vec<u32>,
+    /// The coarse buffer hierarchy, node 0 is the root.
+    pub nodes: Vec<NodeRecord>,
+    /// One per level, finest first.
+    pub model_levels: Vec<ModelLevelRecord>,
+    /// `cluster * levels + level`.
+    pub chunks: Vec<EncodedChunk>,
+}
+
+/// Writes the archive and gives it its name. Returns its length in bytes.
+///
+/// Payloads lie coarsest level first, each level in cluster order: what every viewer needs at its start is one run.
+pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Result<u64, ArchiveError> {
+    writer.require(CHUNK_CODEC);
+    let levels = model.record.levels;
+    for level in (0..levels).rev() {
+        for cluster in 0..model.record.clusters {
+            let id = cluster * levels + level;
+            let chunk = &model.chunks[id as usize];
+            writer.put_chunk(id, &chunk.bytes, chunk.decoded_bytes)?;
+        }
+    }
+    writer.add_section(MODEL, &[model.record])?;
+    writer.add_section(CLUSTERS, &model.clusters)?;
+    writer.add_section(LEVELS, &model.levels)?;
+    writer.add_section(NEIGHBOURS, &model.neighbours)?;
+    writer.add_section(NODES, &model.nodes)?;
+    writer.add_section(MODEL_LEVELS, &model.model_levels)?;
+    writer.finish()
+}
