@@ -1,2 +1,10 @@
 //! pb-mesh
 pub mod mesh;
+pub mod weld;
+pub mod repair;
+pub mod polygon;
+pub mod normals;
+pub mod corners;
+pub mod segment;
+pub mod simplify;
+pub mod topology;

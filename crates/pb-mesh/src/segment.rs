@@ -1,0 +1,187 @@
+//! Segmentation: clusters are the leaves of a k-d tree over triangle centroids.
+//!
+//! A triangle is never cut: its centroid decides. A small connected component goes to one cluster as a
+//! whole (the component's centroid decides), so that it can simplify down to a point without borders.
+//! After Sander and Mitchell 2005, section 5.1, with a k-d tree instead of a fixed voxel grid: densities
+//! that differ by orders of magnitude still give clusters of like size.
+
+use rayon::prelude::*;
+
+/// A component of at most `max_triangles / SMALL_COMPONENT` triangles is kept in one cluster.
+const SMALL_COMPONENT: usize = 4;
+/// Below this many triangles a subtree is split without forking.
+const PARALLEL_MIN: usize = 1 << 15;
+/// More positions than this do not fit the 16-bit indices of a cluster.
+pub const MAX_CLUSTER_VERTICES: usize = 65_535;
+
+/// Clusters as runs of triangle indices: cluster `c` holds `order[starts[c]..starts[c + 1]]`.
+#[derive(Clone, Debug)]
+pub struct Segmentation {
+    /// Triangle indices, cluster by cluster; inside a cluster in k-d order.
+    pub order: Vec<u32>,
+    /// First entry of each cluster in `order`, and one past the last.
+    pub starts: Vec<u32>,
+}
+
+impl Segmentation {
+    /// Number of clusters.
+    pub fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// True when there is no cluster.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Triangles of one cluster.
+    pub fn cluster(&self, c: usize) -> &[u32] {
+        &self.order[self.starts[c] as usize..self.starts[c + 1] as usize]
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Item {
+    key: [f32; 3],
+    triangle: u32,
+}
+
+/// Splits `triangles` (position indices) into clusters of at most `max_triangles` triangles and at most
+/// [`MAX_CLUSTER_VERTICES`] distinct `vertex_of` corners. `positions` may be in any unit and anywhere.
+/// `corners` are the vertex records of the triangles, as many as `triangles`.
+pub fn segment(
+    positions: &[[f64; 3]],
+    triangles: &[[u32; 3]],
+    corners: &[[u32; 3]],
+    max_triangles: usize,
+) -> Segmentation {
+    assert!(max_triangles > 0 && corners.len() == triangles.len());
+    let mut items = keys(positions, triangles, max_triangles / SMALL_COMPONENT);
+    let mut sizes = Vec::new();
+    split(&mut items, max_triangles, corners, &mut sizes);
+    let mut starts = Vec::with_capacity(sizes.len() + 1);
+    let mut end = 0;
+    starts.push(0);
+    for s in sizes {
+        end += s;
+        starts.push(end);
+    }
+    Segmentation { order: items.iter().map(|i| i.triangle).collect(), starts }
+}
+
+/// Sort keys: the centroid of the triangle, or of its whole component where that is small.
+fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], small: usize) -> Vec<Item> {
+    let lo = positions
+        .par_iter()
+        .copied()
+        .reduce(|| [f64::INFINITY; 3], |a, b| std::array::from_fn(|k| a[k].min(b[k])));
+    let centroid = |t: &[u32; 3]| -> [f64; 3] {
+        std::array::from_fn(|k| t.iter().map(|&v| positions[v as usize][k] - lo[k]).sum::<f64>() / 3.0)
+    };
+    let component = components(positions.len(), triangles);
+    let mut sums: Vec<([f64; 3], u32)> = vec![([0.0; 3], 0); positions.len()];
+    for t in triangles {
+        sums[component[t[0] as usize] as usize].1 += 1;
+    }
+    for t in triangles {
+        let s = &mut sums[component[t[0] as usize] as usize];
+        if s.1 as usize <= small {
+            let c = centroid(t);
+            (0..3).for_each(|k| s.0[k] += c[k]);
+        }
+    }
+    triangles
+        .par_iter()
+        .enumerate()
+        .map(|(i, t)| {
+            let (sum, count) = sums[component[t[0] as usize] as usize];
+            let key =
+                if count as usize <= small { sum.map(|s| (s / count as f64) as f32) } else { centroid(t).map(|c| c as f32) };
+            Item { key, triangle: i as u32 }
+        })
+        .collect()
+}
+
+/// Connected components over shared positions: for every position the smallest position it hangs together with.
+pub fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut parent: Vec<u32> = (0..positions as u32).collect();
+    fn find(parent: &mut [u32], mut v: u32) -> u32 {
+        while parent[v as usize] != v {
+            parent[v as usize] = parent[parent[v as usize] as usize];
+            v = parent[v as usize];
+        }
+        v
+    }
+    for t in triangles {
+        let mut a = find(&mut parent, t[0]);
+        for &v in &t[1..] {
+            let b = find(&mut parent, v);
+            let (low, high) = (a.min(b), a.max(b));
+            parent[high as usize] = low;
+            a = low;
+        }
+    }
+    for v in 0..positions {
+        parent[v] = parent[parent[v] as usize];
+    }
+    parent
+}
+
+fn split(items: &mut [Item], max: usize, corners: &[[u32; 3]], sizes: &mut Vec<u32>) {
+    if items.len() <= max && fits_indices(items, corners) {
+        sizes.push(items.len() as u32);
+        return;
+    }
+    let middle = partition(items);
+    let (left, right) = items.split_at_mut(middle);
+    if left.len() + right.len() < PARALLEL_MIN {
+        split(left, max, corners, sizes);
+        split(right, max, corners, sizes);
+    } else {
+        let mut right_sizes = Vec::new();
+        rayon::join(|| split(left, max, corners, sizes), || split(right, max, corners, &mut right_sizes));
+        sizes.append(&mut right_sizes);
+    }
+}
+
+fn fits_indices(items: &[Item], corners: &[[u32; 3]]) -> bool {
+    if items.len() * 3 <= MAX_CLUSTER_VERTICES {
+        return true;
+    }
+    let mut used: Vec<u32> = items.iter().flat_map(|i| corners[i.triangle as usize]).collect();
+    used.sort_unstable();
+    used.dedup();
+    used.len() <= MAX_CLUSTER_VERTICES
+}
+
+/// Reorders `items` around a plane across their longest extent; returns how many are below. The plane is
+/// the median, moved to the nearest place where keys differ, so that equal keys stay together.
+fn partition(items: &mut [Item]) -> usize {
+    let (mut lo, mut hi) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for i in items.iter() {
+        for k in 0..3 {
+            lo[k] = lo[k].min(i.key[k]);
+            hi[k] = hi[k].max(i.key[k]);
+        }
+    }
+    let axis = (0..3).max_by(|&a, &b| (hi[a] - lo[a]).total_cmp(&(hi[b] - lo[b]))).expect("three axes");
+    let half = items.len() / 2;
+    let order = |a: &Item, b: &Item| a.key[axis].total_cmp(&b.key[axis]).then(a.triangle.cmp(&b.triangle));
+    items.select_nth_unstable_by(half, order);
+    let value = items[half].key[axis];
+    if lo[axis] == hi[axis] {
+        return half;
+    }
+    let below = items.iter().filter(|i| i.key[axis] < value).count();
+    let not_above = items.iter().filter(|i| i.key[axis] <= value).count();
+    let cut_low = below > 0 && half - below <= not_above.saturating_sub(half) || not_above == items.len();
+    let mut at = 0;
+    for i in 0..items.len() {
+        let left = if cut_low { items[i].key[axis] < value } else { items[i].key[axis] <= value };
+        if left {
+            items.swap(at, i);
+            at += 1;
+        }
+    }
+    at
+}

@@ -1,0 +1,289 @@
+//! Simplification in unison: all clusters of a mesh at once, level by level (design I2).
+//!
+//! Rounds of rising cost limits. In a round every cluster collapses its inside on its own, in parallel;
+//! then the borders move, in groups of borders that share no cluster. The limit is the same everywhere, so
+//! detail goes where it costs least in the whole model; the result does not depend on the number of threads.
+//! Sander and Mitchell 2005, section 5.4, with one global limit instead of passes per cluster.
+
+mod border;
+mod patch;
+mod quadric;
+
+use crate::segment::{Segmentation, components};
+use crate::topology::{Fans, Kind};
+use border::Seam;
+use glam::Vec3;
+use patch::{Patch, PatchInput};
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+/// A level is reached when the vertex count is within this factor of its target.
+const TARGET_TOLERANCE: f64 = 1.004;
+/// Rounds per level; reached only by meshes that cannot be simplified that far.
+const MAX_ROUNDS: usize = 64;
+/// Share of the remaining way (in log counts) that one round aims for while far from the target.
+const FAR_STEP: f64 = 0.75;
+/// A component vanishes when the cost limit reaches this share of its squared diameter.
+const VANISH_SHARE: f32 = 0.25;
+
+/// The mesh to simplify. Positions are grid points; the cost unit is the squared grid quantum.
+pub struct UnisonInput<'a> {
+    /// Grid points.
+    pub positions: &'a [[i32; 3]],
+    /// Unit normals per position, zero where there is none.
+    pub normals: &'a [Vec3],
+    /// Position indices.
+    pub triangles: &'a [[u32; 3]],
+    /// Clusters.
+    pub segmentation: &'a Segmentation,
+    /// Cluster of each triangle.
+    pub cluster_of: &'a [u32],
+    /// Triangles around positions.
+    pub fans: &'a Fans,
+    /// What each position may do.
+    pub kinds: &'a [Kind],
+}
+
+/// The collapses, as one forest over the positions.
+#[derive(Clone, Debug)]
+pub struct Collapses {
+    /// What each position collapsed onto; itself for survivors.
+    pub parent: Vec<u32>,
+    /// Last level at which each position lives, `levels - 1` for survivors.
+    pub last_level: Vec<u8>,
+    /// Positions alive per level.
+    pub counts: Vec<usize>,
+}
+
+impl Collapses {
+    /// The position that stands for `v` at `level`: its closest ancestor that lives there.
+    pub fn ancestor(&self, mut v: u32, level: u8) -> u32 {
+        while self.last_level[v as usize] < level {
+            v = self.parent[v as usize];
+        }
+        v
+    }
+}
+
+/// Simplifies to `levels` levels, each with `1 / ratio` of the positions of the one before.
+pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
+    let component = components(input.positions.len(), input.triangles);
+    let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len())
+        .into_par_iter()
+        .map(|c| Mutex::new(Patch::new(patch_input(input, &component, c as u32))))
+        .collect();
+    let seams = color_seams(build_seams(input, &patches));
+    let mut counts = vec![input.positions.len()];
+    let mut search = Search::new(&patches, input.positions);
+    let mut alive = input.positions.len();
+    for level in 0..levels - 1 {
+        alive -= patches.iter().map(|p| lock(p).bury_points(level as u8)).sum::<usize>();
+        let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
+        for round in 0..MAX_ROUNDS {
+            if alive as f64 <= target * TARGET_TOLERANCE || search.exhausted() {
+                break;
+            }
+            if round > 0 || level > 0 {
+                search.advance(&patches, alive as f64, target);
+            }
+            alive -= run_round(&patches, &seams, search.limit, level as u8, target / alive as f64);
+            search.record(alive as f64);
+            progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
+        }
+        counts.push(alive);
+    }
+    collect(&patches, input.positions.len(), levels, counts)
+}
+
+fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
+    p.lock().expect("no thread panics while it holds a patch")
+}
+
+/// One round under one cost limit; returns how many positions died.
+fn run_round(patches: &[Mutex<Patch>], seams: &[Vec<Seam>], limit: f32, level: u8, keep: f64) -> usize {
+    let inside: usize = patches
+        .par_iter()
+        .map(|p| {
+            let mut p = lock(p);
+            let quota = (p.alive() as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
+            p.collapse_interior(limit, level) + p.vanish(limit, level, quota)
+        })
+        .sum();
+    let along: usize = seams
+        .iter()
+        .map(|group| {
+            let one = |s: &Seam| {
+                let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
+                border::collapse_seam(s, &mut a, &mut b, limit, level)
+            };
+            group.par_iter().map(one).sum::<usize>()
+        })
+        .sum();
+    inside + along
+}
+
+/// The cost limit of the rounds, steered so that counts come down on their targets from above.
+struct Search {
+    limit: f32,
+    end: f32,
+    last: Option<(f64, f64)>,
+    slope: f64,
+}
+
+impl Search {
+    /// Starts at the cost that a fifth of the movable vertices stay below.
+    fn new(patches: &[Mutex<Patch>], positions: &[[i32; 3]]) -> Self {
+        let limit = cost_of_rank(patches, positions.len() / 5).unwrap_or(0.0);
+        let (mut lo, mut hi) = ([i32::MAX; 3], [i32::MIN; 3]);
+        for p in positions {
+            for k in 0..3 {
+                lo[k] = lo[k].min(p[k]);
+                hi[k] = hi[k].max(p[k]);
+            }
+        }
+        let end = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
+        Search { limit: limit.max(f32::MIN_POSITIVE), end, last: None, slope: -0.5 }
+    }
+
+    fn exhausted(&self) -> bool {
+        self.limit >= self.end
+    }
+
+    fn record(&mut self, count: f64) {
+        let now = (f64::from(self.limit).ln(), count.ln());
+        if let Some(last) = self.last.filter(|l| now.0 - l.0 > 1e-3) {
+            self.slope = ((now.1 - last.1) / (now.0 - last.0)).clamp(-2.0, -0.1);
+        }
+        self.last = Some(now);
+    }
+
+    /// Raises the limit by what the last rounds' slope says is needed, but no further than to where as many
+    /// collapses are queued as positions are to die: collapses rarely make others cheaper.
+    fn advance(&mut self, patches: &[Mutex<Patch>], count: f64, target: f64) {
+        let gap = (target / count).ln();
+        let aim = if gap < -0.1 { gap * FAR_STEP } else { gap };
+        let factor = (aim / self.slope).exp().clamp(1.01, 6.0) as f32;
+        let queued = cost_of_rank(patches, (count - target) as usize).unwrap_or(f32::INFINITY);
+        self.limit = (self.limit * factor).min(queued.max(self.limit * 1.01)).min(self.end);
+    }
+}
+
+/// The cost that `rank` queued collapses stay below; `None` when fewer are queued.
+fn cost_of_rank(patches: &[Mutex<Patch>], rank: usize) -> Option<f32> {
+    let mut costs: Vec<f32> = patches.par_iter().flat_map_iter(|p| lock(p).queued_costs()).collect();
+    (rank < costs.len()).then(|| *costs.select_nth_unstable_by(rank, f32::total_cmp).1)
+}
+
+fn patch_input(input: &UnisonInput, component: &[u32], c: u32) -> PatchInput {
+    let triangles = input.segmentation.cluster(c as usize);
+    let mut global: Vec<u32> = triangles.iter().flat_map(|&t| input.triangles[t as usize]).collect();
+    global.sort_unstable();
+    global.dedup();
+    let local = |v: &u32| global.binary_search(v).expect("collected above") as u32;
+    let origin = input.positions[global[0] as usize];
+    let positions = global.iter().map(|&v| {
+        let p = input.positions[v as usize];
+        Vec3::from_array(std::array::from_fn(|k| (i64::from(p[k]) - i64::from(origin[k])) as f32))
+    });
+    let (mut shared_start, mut shared) = (vec![0], Vec::new());
+    for &v in &global {
+        if matches!(input.kinds[v as usize], Kind::Border | Kind::Locked) {
+            let from = shared.len();
+            shared.extend(input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]).filter(|&o| o != c));
+            shared[from..].sort_unstable();
+            let mut kept = from;
+            for i in from..shared.len() {
+                if i == from || shared[i] != shared[i - 1] {
+                    shared[kept] = shared[i];
+                    kept += 1;
+                }
+            }
+            shared.truncate(kept);
+        }
+        shared_start.push(shared.len() as u32);
+    }
+    let positions: Vec<Vec3> = positions.collect();
+    PatchInput {
+        triangles: triangles.iter().map(|&t| input.triangles[t as usize].map(|v| local(&v))).collect(),
+        kinds: global.iter().map(|&v| input.kinds[v as usize]).collect(),
+        normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
+        components: small_components(&global, component, &positions, &shared_start),
+        positions,
+        shared_start,
+        shared,
+        global,
+    }
+}
+
+/// Components that no other cluster touches, largest first, with the cost at which they vanish. The largest
+/// one of a cluster stays.
+fn small_components(global: &[u32], component: &[u32], positions: &[Vec3], shared_start: &[u32]) -> Vec<(f32, Vec<u32>)> {
+    let mut members: Vec<(u32, u32)> = global.iter().enumerate().map(|(i, &v)| (component[v as usize], i as u32)).collect();
+    members.sort_unstable();
+    let mut list: Vec<(f32, Vec<u32>)> = members
+        .chunk_by(|a, b| a.0 == b.0)
+        .filter(|group| group.iter().all(|m| shared_start[m.1 as usize] == shared_start[m.1 as usize + 1]))
+        .map(|group| {
+            let points = || group.iter().map(|m| positions[m.1 as usize]);
+            let (lo, hi) = points().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| (b.0.min(p), b.1.max(p)));
+            ((hi - lo).length_squared() * VANISH_SHARE, group.iter().map(|m| m.1).collect())
+        })
+        .collect();
+    list.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1[0].cmp(&b.1[0])));
+    list.drain(..usize::from(!list.is_empty()));
+    list
+}
+
+/// The borders between two clusters, ascending by clusters.
+fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<Seam> {
+    let mut ends: Vec<([u32; 2], u32)> = (0..input.positions.len() as u32)
+        .into_par_iter()
+        .filter(|&v| input.kinds[v as usize] == Kind::Border)
+        .map(|v| {
+            let around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
+            ([around.clone().min().unwrap_or(0), around.max().unwrap_or(0)], v)
+        })
+        .collect();
+    ends.par_sort_unstable();
+    ends.chunk_by(|a, b| a.0 == b.0)
+        .map(|group| {
+            let clusters = group[0].0;
+            let local = |k: usize, v: u32| {
+                let p = lock(&patches[clusters[k] as usize]);
+                p.input.global.binary_search(&v).expect("a border position is in both clusters") as u32
+            };
+            Seam { clusters, vertices: group.iter().map(|&(_, v)| [local(0, v), local(1, v)]).collect() }
+        })
+        .collect()
+}
+
+/// Groups in which no cluster occurs twice (greedy edge colouring): these may move at the same time.
+fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
+    let mut groups: Vec<(std::collections::BTreeSet<u32>, Vec<Seam>)> = Vec::new();
+    for s in seams {
+        let [a, b] = s.clusters;
+        let free = groups.iter().position(|g| !g.0.contains(&a) && !g.0.contains(&b));
+        let at = free.unwrap_or_else(|| {
+            groups.push(Default::default());
+            groups.len() - 1
+        });
+        groups[at].0.extend([a, b]);
+        groups[at].1.push(s);
+    }
+    groups.into_iter().map(|g| g.1).collect()
+}
+
+fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Vec<usize>) -> Collapses {
+    let mut parent: Vec<u32> = (0..positions as u32).collect();
+    let mut last_level = vec![(levels - 1) as u8; positions];
+    for p in patches {
+        let p = lock(p);
+        for (v, &g) in p.input.global.iter().enumerate() {
+            if p.death[v] != u8::MAX {
+                parent[g as usize] = p.input.global[p.parent[v] as usize];
+                last_level[g as usize] = p.death[v];
+            }
+        }
+    }
+    Collapses { parent, last_level, counts }
+}

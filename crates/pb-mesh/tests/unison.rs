@@ -1,0 +1,132 @@
+//! Simplification in unison on generated closed meshes: promises of design I2 and I6.
+
+use glam::{DVec3, Vec3};
+use pb_mesh::segment::segment;
+use pb_mesh::simplify::{Collapses, UnisonInput, simplify};
+use pb_mesh::topology::{Fans, Kind, classify};
+use std::collections::HashMap;
+
+/// A bumpy closed surface: a cube's six `n` x `n` grids pushed onto a sphere with waves.
+fn bumpy_sphere(n: u32) -> (Vec<[i32; 3]>, Vec<[u32; 3]>) {
+    let mut index = HashMap::new();
+    let (mut positions, mut triangles) = (Vec::new(), Vec::new());
+    let mut vertex = |p: [i64; 3]| {
+        *index.entry(p).or_insert_with(|| {
+            let d = DVec3::from_array(p.map(|x| (x as f64 / n as f64 * 2.0 - 1.0) * 0.7853)).to_array().map(f64::tan);
+            let d = DVec3::from_array(d).normalize();
+            let r = 1.0 + 0.1 * (d.x * 7.0).sin() * (d.y * 5.0).cos() + 0.02 * (d.z * 31.0 + d.x * 17.0).sin();
+            positions.push((d * r * 1e6).to_array().map(|x| x.round() as i32));
+            positions.len() as u32 - 1
+        })
+    };
+    for axis in 0..3 {
+        for side in [0, n as i64] {
+            for i in 0..n as i64 {
+                for j in 0..n as i64 {
+                    let mut corner = |a: i64, b: i64| {
+                        let mut p = [0; 3];
+                        (p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3]) = (side, a, b);
+                        vertex(p)
+                    };
+                    let q = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+                    let q = if side == 0 { [q[3], q[2], q[1], q[0]] } else { q };
+                    triangles.push([q[0], q[1], q[2]]);
+                    triangles.push([q[0], q[2], q[3]]);
+                }
+            }
+        }
+    }
+    (positions, triangles)
+}
+
+struct Baked {
+    triangles: Vec<[u32; 3]>,
+    cluster_of: Vec<u32>,
+    kinds: Vec<Kind>,
+    collapses: Collapses,
+}
+
+fn run(positions: &[[i32; 3]], triangles: &[[u32; 3]], cluster: usize, levels: usize, ratio: f64) -> Baked {
+    let doubles: Vec<[f64; 3]> = positions.iter().map(|p| p.map(f64::from)).collect();
+    let segmentation = segment(&doubles, triangles, triangles, cluster);
+    let mut cluster_of = vec![0; triangles.len()];
+    for c in 0..segmentation.len() {
+        segmentation.cluster(c).iter().for_each(|&t| cluster_of[t as usize] = c as u32);
+    }
+    let fans = Fans::new(positions.len(), triangles);
+    let (kinds, _) = classify(triangles, &cluster_of, &fans, positions.len());
+    let normals = vec![Vec3::ZERO; positions.len()];
+    let input = UnisonInput {
+        positions,
+        normals: &normals,
+        triangles,
+        segmentation: &segmentation,
+        cluster_of: &cluster_of,
+        fans: &fans,
+        kinds: &kinds,
+    };
+    let start = std::time::Instant::now();
+    let collapses = simplify(&input, levels, ratio, &|_| ());
+    println!("{} triangles, {} clusters: {:?} in {:?}", triangles.len(), segmentation.len(), collapses.counts, start.elapsed());
+    Baked { triangles: triangles.to_vec(), cluster_of, kinds, collapses }
+}
+
+/// Triangles of a level and their clusters.
+fn level(b: &Baked, level: u8) -> Vec<([u32; 3], u32)> {
+    let at = |t: &[u32; 3]| t.map(|v| b.collapses.ancestor(v, level));
+    b.triangles
+        .iter()
+        .zip(&b.cluster_of)
+        .map(|(t, &c)| (at(t), c))
+        .filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0])
+        .collect()
+}
+
+#[test]
+fn every_level_is_closed_and_four_times_smaller() {
+    let (positions, triangles) = bumpy_sphere(70);
+    let b = run(&positions, &triangles, 6000, 5, 4.0);
+    for l in 0..5u8 {
+        let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
+        for (t, _) in level(&b, l) {
+            for k in 0..3 {
+                *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1;
+            }
+        }
+        assert!(edges.iter().all(|(e, n)| *n == 1 && edges.get(&[e[1], e[0]]) == Some(&1)), "level {l} is not closed");
+        let count = b.collapses.counts[l as usize] as f64;
+        let target = positions.len() as f64 / 4f64.powi(l as i32);
+        assert!((count / target - 1.0).abs() < 0.02, "level {l}: {count} of {target}");
+    }
+}
+
+#[test]
+fn border_vertices_collapse_only_along_their_border() {
+    let (positions, triangles) = bumpy_sphere(50);
+    let b = run(&positions, &triangles, 2000, 6, 2.0);
+    let mut users = vec![Vec::new(); positions.len()];
+    for (t, c) in b.triangles.iter().zip(&b.cluster_of) {
+        t.iter().for_each(|&v| users[v as usize].push(*c));
+    }
+    users.iter_mut().for_each(|u| {
+        u.sort_unstable();
+        u.dedup();
+    });
+    for v in 0..positions.len() {
+        let p = b.collapses.parent[v] as usize;
+        if p != v {
+            assert!(users[v].len() < 3 && b.kinds[v] != Kind::Locked, "a corner died");
+            assert!(users[v].iter().all(|c| users[p].contains(c)), "{v} left its clusters");
+        }
+    }
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_number_of_threads() {
+    let (positions, triangles) = bumpy_sphere(40);
+    let with = |n: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
+        pool.install(|| run(&positions, &triangles, 1500, 5, 4.0)).collapses.parent
+    };
+    assert_eq!(with(1), with(3));
+}
