@@ -1,4 +1,5 @@
 //! pb-mesh
+pub mod deviation;
 pub mod mesh;
 pub mod weld;
 pub mod repair;

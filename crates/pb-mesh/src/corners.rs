@@ -1,0 +1,216 @@
+//! Which triangle corners use each vertex, as one flat list; and what the edges and fans around a vertex say about
+//! the surface there: open borders, non-manifold edges and vertices.
+//!
+//! Counts only; what to do about a non-manifold place is decided by whoever simplifies.
+
+use rayon::prelude::*;
+use std::ops::AddAssign;
+
+/// Vertices per parallel job; fixed, so that the work is cut the same way on any number of threads.
+pub const VERTEX_CHUNK: usize = 1 << 14;
+
+/// Incident corners per vertex. Corner `3 t + k` is the k-th of triangle `t`.
+pub struct Corners {
+    /// Where each vertex' corners begin in `corners`, and the end.
+    offsets: Vec<u32>,
+    /// Ascending within a vertex.
+    corners: Vec<u32>,
+}
+
+impl Corners {
+    /// Takes triangles with indices below `vertex_count`, at most `u32::MAX / 3` of them.
+    pub fn new(triangles: &[[u32; 3]], vertex_count: usize) -> Corners {
+        assert!(triangles.len() <= (u32::MAX / 3) as usize, "corner indices are 32 bits wide");
+        let mut offsets = vec![0u32; vertex_count + 1];
+        triangles.as_flattened().iter().for_each(|&v| offsets[v as usize + 1] += 1);
+        for v in 0..vertex_count {
+            offsets[v + 1] += offsets[v];
+        }
+        let mut corners = vec![0u32; 3 * triangles.len()];
+        let mut cursor = offsets.clone();
+        for (corner, &v) in triangles.as_flattened().iter().enumerate() {
+            let slot = &mut cursor[v as usize];
+            corners[*slot as usize] = corner as u32;
+            *slot += 1;
+        }
+        Corners { offsets, corners }
+    }
+
+    /// The corners at a vertex, ascending.
+    pub fn of(&self, vertex: usize) -> &[u32] {
+        &self.corners[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
+    }
+
+    /// Number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Ranges of vertices for parallel jobs, in order.
+    pub fn chunks(&self) -> impl IndexedParallelIterator<Item = std::ops::Range<usize>> {
+        let count = self.vertex_count();
+        (0..count.div_ceil(VERTEX_CHUNK))
+            .into_par_iter()
+            .map(move |c| c * VERTEX_CHUNK..count.min((c + 1) * VERTEX_CHUNK))
+    }
+}
+
+/// The vertices that follow and precede a corner's own in its triangle.
+pub fn next_and_previous(triangles: &[[u32; 3]], corner: u32) -> (u32, u32) {
+    let triangle = &triangles[corner as usize / 3];
+    match corner % 3 {
+        0 => (triangle[1], triangle[2]),
+        1 => (triangle[2], triangle[0]),
+        _ => (triangle[0], triangle[1]),
+    }
+}
+
+/// Triangles with the same three vertices as an earlier one, whatever their rotation and orientation; ascending.
+pub fn duplicate_triangles(triangles: &[[u32; 3]], corners: &Corners) -> Vec<u32> {
+    let mut found: Vec<u32> = corners
+        .chunks()
+        .flat_map_iter(|vertices| {
+            let mut others: Vec<(u32, u32, u32)> = Vec::new();
+            let mut repeats = Vec::new();
+            for v in vertices {
+                others.clear();
+                others.extend(corners.of(v).iter().filter_map(|&corner| {
+                    let (a, b) = next_and_previous(triangles, corner);
+                    (v as u32 <= a.min(b)).then_some((a.min(b), a.max(b), corner / 3))
+                }));
+                others.sort_unstable();
+                repeats.extend(others.windows(2).filter(|w| (w[0].0, w[0].1) == (w[1].0, w[1].1)).map(|w| w[1].2));
+            }
+            repeats
+        })
+        .collect();
+    found.par_sort_unstable();
+    found
+}
+
+/// How the triangles of a mesh hang together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Topology {
+    /// Edges of one triangle.
+    pub boundary_edges: u64,
+    /// Edges of more than two triangles, or of two that run along it in the same direction.
+    pub nonmanifold_edges: u64,
+    /// Vertices where the incident triangles form more than one fan.
+    pub nonmanifold_vertices: u64,
+}
+
+impl AddAssign for Topology {
+    fn add_assign(&mut self, other: Topology) {
+        self.boundary_edges += other.boundary_edges;
+        self.nonmanifold_edges += other.nonmanifold_edges;
+        self.nonmanifold_vertices += other.nonmanifold_vertices;
+    }
+}
+
+/// Counts borders and non-manifold places. No triangle may have a vertex twice.
+pub fn topology(triangles: &[[u32; 3]], corners: &Corners) -> Topology {
+    let parts: Vec<Topology> = corners
+        .chunks()
+        .map(|vertices| {
+            let mut total = Topology::default();
+            let mut star = Star::default();
+            for v in vertices {
+                total += star.examine(triangles, v as u32, corners.of(v));
+            }
+            total
+        })
+        .collect();
+    parts.into_iter().fold(Topology::default(), |mut sum, part| {
+        sum += part;
+        sum
+    })
+}
+
+/// The edges around one vertex; kept between vertices for its buffers.
+#[derive(Default)]
+pub struct Star {
+    /// (other end, slot in the vertex' corners, leaves the vertex) of both edges of each corner, in this order.
+    spokes: Vec<(u32, u32, bool)>,
+    fan: Vec<u32>,
+}
+
+impl Star {
+    /// Collects the edges around `vertex`, whose corners are `incident`.
+    pub fn gather(&mut self, triangles: &[[u32; 3]], incident: &[u32]) {
+        self.spokes.clear();
+        for (slot, &corner) in incident.iter().enumerate() {
+            let (next, previous) = next_and_previous(triangles, corner);
+            self.spokes.push((next, slot as u32, true));
+            self.spokes.push((previous, slot as u32, false));
+        }
+        self.spokes.sort_unstable();
+    }
+
+    /// Joins corners that share an edge into fans where `smooth(slot, slot)` says so; the answer is one fan name per
+    /// slot, the lowest slot of the fan.
+    pub fn fans(&mut self, count: usize, mut smooth: impl FnMut(usize, usize) -> bool) -> &[u32] {
+        self.fan.clear();
+        self.fan.extend(0..count as u32);
+        for pair in self.spokes.windows(2) {
+            if pair[0].0 == pair[1].0 && smooth(pair[0].1 as usize, pair[1].1 as usize) {
+                let (a, b) = (root(&mut self.fan, pair[0].1), root(&mut self.fan, pair[1].1));
+                self.fan[a.max(b) as usize] = a.min(b);
+            }
+        }
+        for slot in 0..count as u32 {
+            self.fan[slot as usize] = root(&mut self.fan, slot);
+        }
+        &self.fan
+    }
+
+    /// Edges are counted at their lower end.
+    fn examine(&mut self, triangles: &[[u32; 3]], vertex: u32, incident: &[u32]) -> Topology {
+        self.gather(triangles, incident);
+        let mut found = Topology::default();
+        for edge in self.spokes.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge[0].0 > vertex) {
+            let leaving = edge.iter().filter(|spoke| spoke.2).count();
+            match (edge.len(), leaving) {
+                (1, _) => found.boundary_edges += 1,
+                (2, 1) => {}
+                _ => found.nonmanifold_edges += 1,
+            }
+        }
+        let fans = self.fans(incident.len(), |_, _| true);
+        found.nonmanifold_vertices += u64::from(fans.iter().any(|&fan| fan != 0));
+        found
+    }
+}
+
+fn root(fan: &mut [u32], mut slot: u32) -> u32 {
+    while fan[slot as usize] != slot {
+        fan[slot as usize] = fan[fan[slot as usize] as usize];
+        slot = fan[slot as usize];
+    }
+    slot
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn examined(triangles: &[[u32; 3]], vertex_count: usize) -> (u64, u64, u64) {
+        let t = topology(triangles, &Corners::new(triangles, vertex_count));
+        (t.boundary_edges, t.nonmanifold_edges, t.nonmanifold_vertices)
+    }
+
+    #[test]
+    fn counts_borders_and_nonmanifold_places() {
+        let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        assert_eq!(examined(&tetrahedron, 4), (0, 0, 0));
+        assert_eq!(examined(&tetrahedron[..3], 4), (3, 0, 0));
+        assert_eq!(examined(&[[0, 1, 2], [0, 1, 3]], 4), (4, 1, 0), "two triangles of opposite orientation");
+        assert_eq!(examined(&[[0, 1, 2], [1, 0, 3], [0, 1, 4]], 5), (6, 1, 0), "three triangles at an edge");
+        assert_eq!(examined(&[[0, 1, 2], [0, 3, 4]], 5), (6, 0, 1), "two fans at a vertex");
+    }
+
+    #[test]
+    fn finds_duplicates_of_any_rotation_and_orientation() {
+        let triangles = [[0, 1, 2], [3, 2, 1], [2, 0, 1], [1, 0, 2], [0, 1, 3]];
+        assert_eq!(duplicate_triangles(&triangles, &Corners::new(&triangles, 4)), [2, 3]);
+    }
+}

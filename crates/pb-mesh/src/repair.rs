@@ -1,0 +1,259 @@
+//! From the records of the inputs to the clean mesh of the bake: welds, drops what is no surface, completes normals.
+//!
+//! Closed meshes stay closed: triangles are removed only where a position repeats (after the weld) or where an earlier
+//! triangle has the same three positions. Triangles without area but with three distinct positions stay, because
+//! their neighbours may need them. Non-manifold places are counted and left alone. The result does not depend on the
+//! number of threads.
+
+use crate::corners::{Corners, Topology, duplicate_triangles, topology};
+use crate::mesh::{Mesh, Soup};
+use crate::normals::{NormalOptions, Surface, wedges};
+use crate::weld::{weld_exact, weld_within};
+use rayon::prelude::*;
+
+/// Coordinates beyond this are taken for damage: squares and products of them would leave the range of numbers.
+pub const MAX_COORDINATE: f64 = 1e30;
+/// Most triangles of one mesh: three corner indices each fit into 31 bits.
+pub const MAX_TRIANGLE_COUNT: usize = (1 << 31) / 3;
+
+/// What [`repair`] may be told.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RepairOptions {
+    /// Positions at most this far apart (input units) become one; 0: only equal ones.
+    pub weld_tolerance: f64,
+    /// How missing normals are made.
+    pub normals: NormalOptions,
+    /// Whether the normals of the input are used.
+    pub input_normals: InputNormals,
+}
+
+/// Whether the normals of the input are used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum InputNormals {
+    /// Where they are there and sound.
+    #[default]
+    Use,
+    /// Never: all normals are made.
+    Ignore,
+}
+
+/// What [`repair`] found and did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RepairReport {
+    /// Triangles of the input, polygons counted as the triangles they were cut into.
+    pub triangles_in: u64,
+    /// Records of the input.
+    pub records_in: u64,
+    /// Faces of the input with more than three corners.
+    pub polygons_triangulated: u64,
+    /// Records that were joined with an earlier one of the same position.
+    pub positions_welded: u64,
+    /// Distinct positions that no triangle uses.
+    pub unreferenced_dropped: u64,
+    /// Triangles in which a position repeats.
+    pub degenerate_removed: u64,
+    /// Triangles with the positions of an earlier one.
+    pub duplicates_removed: u64,
+    /// Triangles without area that were kept.
+    pub zero_area_kept: u64,
+    /// Wedges that got a normal because the input has none there.
+    pub normals_made: u64,
+    /// Wedges that got a normal because the input's is not a finite number.
+    pub normals_repaired: u64,
+    /// Borders and non-manifold places of the result.
+    pub topology: Topology,
+}
+
+/// Why there is no mesh.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MeshError {
+    /// A coordinate is NaN, infinite or absurdly large.
+    #[error(
+        "vertex {record} (counted from 0) has the position ({}, {}, {}), which is no usable place; \
+         remove the vertex or export the model again", position[0], position[1], position[2]
+    )]
+    BadCoordinate {
+        /// Index in the soup.
+        record: usize,
+        /// As the input has it.
+        position: [f64; 3],
+    },
+    /// Nothing is left to bake.
+    #[error(
+        "there is no usable triangle: {triangles_in} in the input, {degenerate} of them with a repeated position; \
+         check that the model was exported as a triangle or polygon mesh"
+    )]
+    NoTriangles {
+        /// Triangles of the input.
+        triangles_in: u64,
+        /// Those in which a position repeats.
+        degenerate: u64,
+    },
+    /// More than one mesh may have.
+    #[error("the scene has {triangles} triangles, more than {MAX_TRIANGLE_COUNT}; bake it in several parts")]
+    TooManyTriangles {
+        /// Triangles of the input.
+        triangles: usize,
+    },
+    /// The weld tolerance is negative or no number.
+    #[error("the weld tolerance is {tolerance}; give a length of 0 or more in the units of the model")]
+    BadTolerance {
+        /// As given.
+        tolerance: f64,
+    },
+}
+
+/// The first position that [`repair`] would refuse.
+pub fn first_bad_position(positions: &[[f64; 3]]) -> Option<usize> {
+    positions.par_iter().position_first(|p| !p.iter().all(|x| x.abs() <= MAX_COORDINATE))
+}
+
+/// Makes the clean mesh; see the module's description and [`Mesh`]'s guarantees.
+///
+/// # Errors
+/// See [`MeshError`].
+///
+/// # Panics
+/// When the soup breaks its own rules: an index out of range, or attributes of another length than the positions.
+pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport), MeshError> {
+    check(&soup, options)?;
+    let mut report = RepairReport {
+        triangles_in: soup.triangles.len() as u64,
+        records_in: soup.positions.len() as u64,
+        polygons_triangulated: soup.polygons_triangulated,
+        ..RepairReport::default()
+    };
+    let Soup { positions, mut normals, colors, triangles: mut records, .. } = soup;
+    if options.input_normals == InputNormals::Ignore {
+        normals.clear();
+    }
+    let stands_for = weld(&positions, options.weld_tolerance);
+    let (positions, mut triangles) = number_positions(positions, &stands_for, &mut records, &mut report);
+    drop(stands_for);
+    if triangles.is_empty() {
+        let RepairReport { triangles_in, degenerate_removed: degenerate, .. } = report;
+        return Err(MeshError::NoTriangles { triangles_in, degenerate });
+    }
+    if normals.is_empty() && colors.is_empty() {
+        records = Vec::new();
+    }
+    let corners = remove_duplicates(positions.len(), &mut triangles, &mut records, &mut report);
+    report.topology = topology(&triangles, &corners);
+    report.zero_area_kept = triangles.par_iter().filter(|t| is_flat(t.map(|v| positions[v as usize]))).count() as u64;
+    let surface = Surface {
+        positions: &positions,
+        triangles: &triangles,
+        corners: &corners,
+        records: &records,
+        normals: &normals,
+        colors: &colors,
+    };
+    let made = wedges(&surface, &options.normals);
+    report.normals_made = made.normals_made;
+    report.normals_repaired = made.normals_repaired;
+    let mesh = Mesh { wedges: made.wedges, triangles: made.triangles, has_colors: !colors.is_empty(), positions };
+    Ok((mesh, report))
+}
+
+fn check(soup: &Soup, options: &RepairOptions) -> Result<(), MeshError> {
+    let count = soup.positions.len();
+    assert!(count < u32::MAX as usize, "record indices are 32 bits wide");
+    assert!(soup.normals.is_empty() || soup.normals.len() == count, "one normal per record");
+    assert!(soup.colors.is_empty() || soup.colors.len() == count, "one colour per record");
+    assert!(soup.triangles.par_iter().all(|t| t.iter().all(|&i| (i as usize) < count)), "triangle indices in range");
+    if !(options.weld_tolerance >= 0.0 && options.weld_tolerance.is_finite()) {
+        return Err(MeshError::BadTolerance { tolerance: options.weld_tolerance });
+    }
+    if soup.triangles.len() > MAX_TRIANGLE_COUNT {
+        return Err(MeshError::TooManyTriangles { triangles: soup.triangles.len() });
+    }
+    match first_bad_position(&soup.positions) {
+        Some(record) => Err(MeshError::BadCoordinate { record, position: soup.positions[record] }),
+        None => Ok(()),
+    }
+}
+
+fn weld(positions: &[[f64; 3]], tolerance: f64) -> Vec<u32> {
+    let first = weld_exact(positions);
+    if tolerance > 0.0 { weld_within(positions, &first, tolerance) } else { first }
+}
+
+/// Numbers the positions that triangles use, in the order of their first record, and drops degenerate triangles.
+/// `records` loses the same triangles; the answer's triangles are position indices.
+fn number_positions(
+    mut positions: Vec<[f64; 3]>,
+    stands_for: &[u32],
+    records: &mut Vec<[u32; 3]>,
+    report: &mut RepairReport,
+) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
+    let standing = |t: &[u32; 3]| t.map(|r| stands_for[r as usize]);
+    let degenerate = |t: &[u32; 3]| t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
+    let before = records.len();
+    if records.par_iter().any(|t| degenerate(&standing(t))) {
+        records.retain(|t| !degenerate(&standing(t)));
+    }
+    report.degenerate_removed = (before - records.len()) as u64;
+
+    let mut number = vec![u32::MAX; positions.len()];
+    for record in records.as_flattened() {
+        number[stands_for[*record as usize] as usize] = 0;
+    }
+    let mut used = 0u32;
+    let mut welded = 0u64;
+    for record in 0..positions.len() {
+        welded += u64::from(stands_for[record] as usize != record);
+        if number[record] != u32::MAX {
+            positions[used as usize] = positions[record].map(|x| x + 0.0);
+            number[record] = used;
+            used += 1;
+        }
+    }
+    report.positions_welded = welded;
+    report.unreferenced_dropped = positions.len() as u64 - welded - u64::from(used);
+    positions.truncate(used as usize);
+    positions.shrink_to_fit();
+    let triangles = records.par_iter().map(|t| standing(t).map(|r| number[r as usize])).collect();
+    (positions, triangles)
+}
+
+/// Removes triangles with the positions of an earlier one, and tells the corners of the rest.
+fn remove_duplicates(
+    position_count: usize,
+    triangles: &mut Vec<[u32; 3]>,
+    records: &mut Vec<[u32; 3]>,
+    report: &mut RepairReport,
+) -> Corners {
+    let corners = Corners::new(triangles, position_count);
+    let duplicates = duplicate_triangles(triangles, &corners);
+    report.duplicates_removed = duplicates.len() as u64;
+    if duplicates.is_empty() {
+        return corners;
+    }
+    let without = |list: &mut Vec<[u32; 3]>| {
+        let mut next = duplicates.iter().peekable();
+        let mut index = 0;
+        list.retain(|_| {
+            let drop = next.next_if(|&&d| d == index).is_some();
+            index += 1;
+            !drop
+        });
+    };
+    without(triangles);
+    if !records.is_empty() {
+        without(records);
+    }
+    Corners::new(triangles, position_count)
+}
+
+/// Whether three positions are on one line, to within the rounding of doubles.
+fn is_flat([a, b, c]: [[f64; 3]; 3]) -> bool {
+    let u: [f64; 3] = std::array::from_fn(|k| b[k] - a[k]);
+    let v: [f64; 3] = std::array::from_fn(|k| c[k] - a[k]);
+    let cross: [f64; 3] = std::array::from_fn(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]);
+    let square = |x: [f64; 3]| x.iter().map(|x| x * x).sum::<f64>();
+    square(cross) <= 1e-24 * square(u) * square(v)
+}
+
+#[cfg(test)]
+#[path = "repair_tests.rs"]
+mod tests;
