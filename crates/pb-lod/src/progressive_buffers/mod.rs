@@ -2,14 +2,20 @@
 //!
 //! - [`layout`]: what the archive's tables and chunks hold, and nothing else;
 //! - [`codec`]: chunk payloads, packed and unpacked;
+//! - [`hierarchy`]: the coarse buffer hierarchy and the order of the clusters;
 //! - [`write`](mod@write): a finished bake becomes a file;
 //! - [`model`]: a file becomes a checked model;
 //! - [`display`]: the display rule, the Rust twin of the vertex shader;
+//! - [`displayed_surface`](mod@displayed_surface): what a frame shows, all clusters welded;
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
 //! - [`select`]: what to draw, load and give back in a frame.
 
 pub mod codec;
 pub mod display;
+pub mod displayed_surface;
+#[cfg(test)]
+mod grid_torus;
+pub mod hierarchy;
 pub mod layout;
 mod level_mesh;
 pub mod model;
