@@ -110,29 +110,51 @@ impl ClusterView<'_> {
         Displayed { position: self.position(v, eye), normal: v.normal(), color: v.color.map(|c| c as f32 / 255.0) }
     }
 
-    /// `display(v, i)`: where vertex `index`, drawn by the index buffer of `level`, is shown.
+    /// The parent of `v` at the step `level -> level + 1`; `v` itself if it survives.
+    fn parent(&self, v: u32, level: u32) -> u32 {
+        if v < self.counts[level as usize + 1] { v } else { self.vertices[v as usize].parent as u32 }
+    }
+
+    /// Where vertex `index`, drawn by the index buffer of `level`, is shown: past the levels that its own
+    /// ancestors have left behind, then a mix of the ancestors that follow, each weighed by its own lod:
+    ///
+    /// `display(v, i) = v + w_v (display(a, i + 1) - v)`, `w_v = clamp(lod(v) - i, 0, 1)`, `a` the parent of v.
+    ///
+    /// Mixing with where the parent is *shown*, not with the parent, is what keeps the place continuous when v
+    /// reaches the next level before or after its parent does. A weight of 1 is passed without arithmetic, so
+    /// that a finer cluster arrives at the very bits from which a coarser neighbour starts.
     pub fn display(&self, index: u32, level: u32, eye: &GridEye) -> Displayed {
         let last = self.counts.len() as u32 - 1;
         let (mut v, mut i) = (index, level);
-        while i < last {
-            let fine = &self.vertices[v as usize];
-            let a = if v < self.counts[i as usize + 1] { v } else { fine.parent as u32 };
-            let t = self.lod(fine, eye);
-            if t < (i + 1) as f32 {
-                let w = (t - i as f32).max(0.0);
-                return mix(&self.plain(fine, eye), &self.plain(&self.vertices[a as usize], eye), w);
-            }
-            (v, i) = (a, i + 1);
+        let mut t = self.lod(&self.vertices[v as usize], eye);
+        while i < last && t >= (i + 1) as f32 {
+            v = self.parent(v, i);
+            t = self.lod(&self.vertices[v as usize], eye);
+            i += 1;
         }
-        self.plain(&self.vertices[v as usize], eye)
+        let mut here = self.plain(&self.vertices[v as usize], eye);
+        let (mut shown, mut weight) = (here, 1.0);
+        while i < last && t > i as f32 {
+            weight *= (t - i as f32).min(1.0);
+            v = self.parent(v, i);
+            let next = self.plain(&self.vertices[v as usize], eye);
+            shown = shown.moved(&here, &next, weight);
+            here = next;
+            t = self.lod(&self.vertices[v as usize], eye);
+            i += 1;
+        }
+        shown
     }
 }
 
-fn mix(a: &Displayed, b: &Displayed, w: f32) -> Displayed {
-    let m = |x: f32, y: f32| x + (y - x) * w;
-    Displayed {
-        position: std::array::from_fn(|k| m(a.position[k], b.position[k])),
-        normal: std::array::from_fn(|k| m(a.normal[k], b.normal[k])),
-        color: std::array::from_fn(|k| m(a.color[k], b.color[k])),
+impl Displayed {
+    /// `self + (b - a) * w`, component by component.
+    fn moved(&self, a: &Displayed, b: &Displayed, w: f32) -> Displayed {
+        let m = |s: f32, x: f32, y: f32| s + (y - x) * w;
+        Displayed {
+            position: std::array::from_fn(|k| m(self.position[k], a.position[k], b.position[k])),
+            normal: std::array::from_fn(|k| m(self.normal[k], a.normal[k], b.normal[k])),
+            color: std::array::from_fn(|k| m(self.color[k], a.color[k], b.color[k])),
+        }
     }
 }

@@ -8,19 +8,22 @@
 mod budget;
 mod floors;
 mod tables;
+#[cfg(test)]
+mod tests;
 mod walk;
 
 use std::cmp::Ordering;
 
 pub use tables::SelectTables;
 
-use self::budget::DetailControl;
+use self::budget::{DetailControl, Target};
 use self::floors::Floors;
 use self::tables::Tables;
 use self::walk::{Eyes, Place, Seen, Walk, walk};
 use super::display::LodTable;
+use super::model::Model;
 use super::switch::Switch;
-use crate::plan::{Class, Detail, Draw, Frame, Plan, View, Want};
+use crate::plan::{ChunkId, Class, Detail, Draw, Frame, Plan, View, Want};
 
 /// A cluster this much nearer (distance ratio) would need its next level: load that about now.
 const SOON_MARGIN: f32 = 0.8;
@@ -40,6 +43,20 @@ impl Selector {
         let tables = Tables::new(tables);
         let floors = Floors::new(tables.clusters(), tables.levels);
         Selector { tables, floors, control: DetailControl::default() }
+    }
+
+    /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
+    pub fn for_model(model: &Model) -> Selector {
+        let chunks = 0..model.level_records().len() as u32;
+        let chunk_bytes: Vec<u64> = chunks.map(|c| model.decoded_bytes(ChunkId(c)) as u64).collect();
+        Selector::new(&SelectTables {
+            model: model.record(),
+            clusters: model.clusters(),
+            levels: model.level_records(),
+            neighbours: model.neighbour_entries(),
+            nodes: model.nodes(),
+            chunk_bytes: &chunk_bytes,
+        })
     }
 
     /// Errors of a cluster per level, input units, starting at 0 and strictly increasing: what a
@@ -69,8 +86,7 @@ impl Selector {
         let eyes = Eyes::new(frame.views, frame.detail, t);
         let finest = self.control.finest(frame.detail);
         let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), MAYBE_MARGIN);
-        let (target, now) = self.control.step(frame, |detail| bytes_wanted(t, &walk, detail));
-        let target = Switch::new(target, 1.0, t.quantum);
+        let (target, now) = self.control.step(frame, |target| bytes_wanted(t, &walk, target));
         let drawn = Switch::new(now, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now), ..Plan::default() };
@@ -109,9 +125,11 @@ impl Selector {
     }
 
     /// Wanted chunks, most urgent first.
-    fn want(&self, walk: &Walk, switch: &Switch, frame: &Frame, plan: &mut Plan) {
+    fn want(&self, walk: &Walk, target: &Target, frame: &Frame, plan: &mut Plan) {
+        let switch = Switch::new(target.detail, 1.0, self.tables.quantum);
         for seen in &walk.seen {
-            self.want_cluster(seen, switch, frame, plan);
+            let reach = seen.reach.max(seen.girth * target.nearest);
+            self.want_cluster(&Seen { reach, ..*seen }, &switch, frame, plan);
         }
         plan.wants.sort_by(compare_wants);
         plan.missing_chunks = plan
@@ -164,11 +182,11 @@ fn compare_wants(a: &Want, b: &Want) -> Ordering {
     b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
 }
 
-/// Bytes in VRAM if every visible cluster is resident at the level that `detail` asks for.
-fn bytes_wanted(t: &Tables, walk: &Walk, detail: Detail) -> u64 {
-    let switch = Switch::new(detail, 1.0, t.quantum);
+/// Bytes in VRAM if every visible cluster is resident at the level that the target asks for.
+fn bytes_wanted(t: &Tables, walk: &Walk, target: &Target) -> u64 {
+    let switch = Switch::new(target.detail, 1.0, t.quantum);
     let finer = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
-        let level = t.lod(&switch, s.cluster, s.reach) as u32;
+        let level = t.lod(&switch, s.cluster, s.reach.max(s.girth * target.nearest)) as u32;
         t.bytes_above_coarsest(s.cluster, level)
     });
     t.coarse_bytes + finer.sum::<u64>()

@@ -114,47 +114,54 @@ fn plain(cluster: u32, vertex: vec4<u32>, position: vec3<f32>) -> Displayed {
     return Displayed(position, normal_of(vertex), unpack4x8unorm(vertex.w));
 }
 
-// Where vertex `index` of `cluster` is shown. The level of the index buffer that draws it plays no part: at the
-// levels below its death a vertex is its own parent. Its chunk and all coarser ones must be resident (I5).
-fn display(cluster: u32, index: u32) -> Displayed {
+// The level at which vertex `v` of `cluster` dies; it is at least `level`.
+fn death(cluster: u32, v: u32, level: u32) -> u32 {
     let first = cluster * view.levels;
-    let last = view.levels - 1u;
-    var v = index;
-    var level = 0u;
-    loop {
-        // The level at which v dies.
-        while level < last && v < levels[first + level + 1u].vertices {
-            level++;
-        }
-        let vertex = heap[levels[first + level].base + v];
-        let position = position_of(cluster, vertex);
-        if level == last {
-            return plain(cluster, vertex, position);
-        }
-        let t = lod_of(cluster, vertex, position);
-        let parent = vertex.y >> 16u;
-        level++;
-        if t < f32(level) {
-            let w = max(t - f32(level - 1u), 0.0) * view.morph;
-            return mixed(cluster, plain(cluster, vertex, position), parent, level, w);
-        }
-        v = parent;
+    var i = level;
+    while i < view.levels - 1u && v < levels[first + i + 1u].vertices {
+        i++;
     }
-    return Displayed();
+    return i;
 }
 
-// `fine` on its way to vertex `parent`, which lives at `level`.
-fn mixed(cluster: u32, fine: Displayed, parent: u32, level: u32, w: f32) -> Displayed {
-    let first = cluster * view.levels;
-    var home = level;
-    while home < view.levels - 1u && parent < levels[first + home + 1u].vertices {
-        home++;
+fn stored(cluster: u32, v: u32, dies: u32) -> vec4<u32> {
+    return heap[levels[cluster * view.levels + dies].base + v];
+}
+
+// Where vertex `index` of `cluster` is shown. The level of the index buffer that draws it plays no part: at the
+// levels below its death a vertex is its own parent. Its chunk and all coarser ones must be resident (I5).
+//
+// First past the ancestors whose own lod has left them behind; then a mix with the ancestors that follow, each
+// weighed by its own lod, so that the place is continuous whichever of them reaches the next level first.
+fn display(cluster: u32, index: u32) -> Displayed {
+    let last = view.levels - 1u;
+    var level = death(cluster, index, 0u);
+    var vertex = stored(cluster, index, level);
+    var position = position_of(cluster, vertex);
+    var t = lod_of(cluster, vertex, position);
+    var here = plain(cluster, vertex, position);
+    var shown = here;
+    var weight = 1.0;
+    var passing = true;
+    while level < last && t > f32(level) && weight > 0.0 {
+        passing = passing && t >= f32(level + 1u);
+        if !passing {
+            weight *= min(t - f32(level), 1.0) * view.morph;
+        }
+        let parent = vertex.y >> 16u;
+        level = death(cluster, parent, level + 1u);
+        vertex = stored(cluster, parent, level);
+        position = position_of(cluster, vertex);
+        t = lod_of(cluster, vertex, position);
+        let next = plain(cluster, vertex, position);
+        if passing {
+            shown = next;
+        } else {
+            shown.position += (next.position - here.position) * weight;
+            shown.normal += (next.normal - here.normal) * weight;
+            shown.color += (next.color - here.color) * weight;
+        }
+        here = next;
     }
-    let vertex = heap[levels[first + home].base + parent];
-    let b = plain(cluster, vertex, position_of(cluster, vertex));
-    return Displayed(
-        fine.position + (b.position - fine.position) * w,
-        fine.normal + (b.normal - fine.normal) * w,
-        fine.color + (b.color - fine.color) * w,
-    );
+    return shown;
 }

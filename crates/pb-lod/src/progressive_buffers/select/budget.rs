@@ -10,6 +10,22 @@ const RUNGS: i32 = 400;
 /// The detail in use changes by at most this factor per second: 3 % at 60 frames per second.
 const RATE_PER_SEC: f64 = 5.9;
 
+/// What chunks are wanted for.
+pub(super) struct Target {
+    /// The detail that the budget allows.
+    pub detail: Detail,
+    /// No cluster counts as nearer than this fraction of its radius. 0 while the budget holds what is asked
+    /// for; else it grows to 1, because a sphere that holds the eye has distance 0, where no error is too
+    /// small for the finest level.
+    pub nearest: f32,
+}
+
+impl Target {
+    fn new(asked: Detail, gain: f64) -> Target {
+        Target { detail: coarsened(asked, gain), nearest: (1.0 - 1.0 / gain) as f32 }
+    }
+}
+
 /// The detail in use: what the caller asks for, made coarser by `gain`.
 #[derive(Default)]
 pub(super) struct DetailControl {
@@ -23,9 +39,9 @@ impl DetailControl {
         coarsened(asked, self.start(asked).min(1.0))
     }
 
-    /// The finest detail on the ladder whose `bytes` fit the budget, and the detail to use in this frame.
-    pub fn step(&mut self, frame: &Frame, bytes: impl Fn(Detail) -> u64) -> (Detail, Detail) {
-        let fits = |rung: i32| bytes(coarsened(frame.detail, STEP.powi(rung))) <= frame.vram_budget_bytes;
+    /// The finest target on the ladder whose `bytes` fit the budget, and the detail to use in this frame.
+    pub fn step(&mut self, frame: &Frame, bytes: impl Fn(&Target) -> u64) -> (Target, Detail) {
+        let fits = |rung: i32| bytes(&Target::new(frame.detail, STEP.powi(rung))) <= frame.vram_budget_bytes;
         let target = STEP.powi(first_that(RUNGS, fits));
         let reach = RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64);
         let start = self.start(frame.detail);
@@ -35,7 +51,7 @@ impl DetailControl {
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
-        (coarsened(frame.detail, target), coarsened(frame.detail, gain))
+        (Target::new(frame.detail, target), coarsened(frame.detail, gain))
     }
 
     /// True when the detail in use is the one that the budget allows.

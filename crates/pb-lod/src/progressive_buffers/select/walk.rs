@@ -32,6 +32,8 @@ pub(super) struct Seen {
     pub place: Place,
     /// Comparable with switch distances; see [`Eyes::reach`].
     pub reach: f32,
+    /// Its radius as a reach.
+    pub girth: f32,
     /// World size of a pixel at its nearest point, over all views.
     pub pixel: f32,
 }
@@ -168,6 +170,8 @@ impl Walk {
         let (reach, pixel) = eyes.reach(t, cluster);
         let place = eyes.place(&t.sphere(cluster)).0;
         self.visible[cluster as usize] = place == Place::Visible;
-        self.seen.push(Seen { cluster, place, reach, pixel });
+        let unit = eyes.eyes.iter().map(|e| e.unit).fold(f64::INFINITY, f64::min);
+        let girth = (t.sphere(cluster).radius as f64 * eyes.quantum * unit) as f32;
+        self.seen.push(Seen { cluster, place, reach, girth, pixel });
     }
 }
