@@ -71,10 +71,8 @@ pub fn segment(
 
 /// Sort keys: the centroid of the triangle, or of its whole component where that is small.
 fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], small: usize) -> Vec<Item> {
-    let lo = positions
-        .par_iter()
-        .copied()
-        .reduce(|| [f64::INFINITY; 3], |a, b| std::array::from_fn(|k| a[k].min(b[k])));
+    let lo =
+        positions.par_iter().copied().reduce(|| [f64::INFINITY; 3], |a, b| std::array::from_fn(|k| a[k].min(b[k])));
     let centroid = |t: &[u32; 3]| -> [f64; 3] {
         std::array::from_fn(|k| t.iter().map(|&v| positions[v as usize][k] - lo[k]).sum::<f64>() / 3.0)
     };
@@ -95,8 +93,11 @@ fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], small: usize) -> Vec<Ite
         .enumerate()
         .map(|(i, t)| {
             let (sum, count) = sums[component[t[0] as usize] as usize];
-            let key =
-                if count as usize <= small { sum.map(|s| (s / count as f64) as f32) } else { centroid(t).map(|c| c as f32) };
+            let key = if count as usize <= small {
+                sum.map(|s| (s / count as f64) as f32)
+            } else {
+                centroid(t).map(|c| c as f32)
+            };
             Item { key, triangle: i as u32 }
         })
         .collect()

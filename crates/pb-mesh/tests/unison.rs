@@ -67,7 +67,13 @@ fn run(positions: &[[i32; 3]], triangles: &[[u32; 3]], cluster: usize, levels: u
     };
     let start = std::time::Instant::now();
     let collapses = simplify(&input, levels, ratio, &|_| ());
-    println!("{} triangles, {} clusters: {:?} in {:?}", triangles.len(), segmentation.len(), collapses.counts, start.elapsed());
+    println!(
+        "{} triangles, {} clusters: {:?} in {:?}",
+        triangles.len(),
+        segmentation.len(),
+        collapses.counts,
+        start.elapsed()
+    );
     Baked { triangles: triangles.to_vec(), cluster_of, kinds, collapses }
 }
 

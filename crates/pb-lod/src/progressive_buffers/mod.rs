@@ -1,6 +1,7 @@
 //! Progressive buffers after Sander and Mitchell (SGP 2005), restated with one record per vertex.
 //!
 //! - [`layout`]: what the archive's tables and chunks hold, and nothing else;
+//! - [`bake`](mod@bake): a clean mesh becomes tables and chunks;
 //! - [`codec`]: chunk payloads, packed and unpacked;
 //! - [`hierarchy`]: the coarse buffer hierarchy and the order of the clusters;
 //! - [`write`](mod@write): a finished bake becomes a file;
@@ -10,6 +11,7 @@
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
 //! - [`select`]: what to draw, load and give back in a frame.
 
+pub mod bake;
 pub mod codec;
 pub mod display;
 pub mod displayed_surface;

@@ -91,4 +91,3 @@ fn joint_cost(a: &Patch, b: &Patch, v: [u32; 2], to: [u32; 2]) -> f32 {
     let mean = if area > 0.0 { (mean_a * area_a + mean_b * area_b) / area } else { 0.0 };
     mean + bend_a.max(bend_b)
 }
-

@@ -53,6 +53,8 @@ pub struct Collapses {
     pub last_level: Vec<u8>,
     /// Positions alive per level.
     pub counts: Vec<usize>,
+    /// Connected component of each position: the smallest position it hangs together with.
+    pub components: Vec<u32>,
 }
 
 impl Collapses {
@@ -92,7 +94,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         }
         counts.push(alive);
     }
-    collect(&patches, input.positions.len(), levels, counts)
+    collect(&patches, input.positions.len(), levels, counts, component)
 }
 
 fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
@@ -217,8 +219,14 @@ fn patch_input(input: &UnisonInput, component: &[u32], c: u32) -> PatchInput {
 
 /// Components that no other cluster touches, largest first, with the cost at which they vanish. The largest
 /// one of a cluster stays.
-fn small_components(global: &[u32], component: &[u32], positions: &[Vec3], shared_start: &[u32]) -> Vec<(f32, Vec<u32>)> {
-    let mut members: Vec<(u32, u32)> = global.iter().enumerate().map(|(i, &v)| (component[v as usize], i as u32)).collect();
+fn small_components(
+    global: &[u32],
+    component: &[u32],
+    positions: &[Vec3],
+    shared_start: &[u32],
+) -> Vec<(f32, Vec<u32>)> {
+    let mut members: Vec<(u32, u32)> =
+        global.iter().enumerate().map(|(i, &v)| (component[v as usize], i as u32)).collect();
     members.sort_unstable();
     let mut list: Vec<(f32, Vec<u32>)> = members
         .chunk_by(|a, b| a.0 == b.0)
@@ -273,7 +281,13 @@ fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
     groups.into_iter().map(|g| g.1).collect()
 }
 
-fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Vec<usize>) -> Collapses {
+fn collect(
+    patches: &[Mutex<Patch>],
+    positions: usize,
+    levels: usize,
+    counts: Vec<usize>,
+    components: Vec<u32>,
+) -> Collapses {
     let mut parent: Vec<u32> = (0..positions as u32).collect();
     let mut last_level = vec![(levels - 1) as u8; positions];
     for p in patches {
@@ -285,5 +299,5 @@ fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Ve
             }
         }
     }
-    Collapses { parent, last_level, counts }
+    Collapses { parent, last_level, counts, components }
 }

@@ -19,12 +19,7 @@ impl Quadric {
     /// A plane through the owner with unit normal `n`, weighted by an area.
     pub fn plane(n: Vec3, weight: f32) -> Self {
         let m = n * weight;
-        Quadric {
-            a: [m.x * n.x, m.y * n.y, m.z * n.z, m.x * n.y, m.x * n.z, m.y * n.z],
-            b: Vec3::ZERO,
-            c: 0.0,
-            weight,
-        }
+        Quadric { a: [m.x * n.x, m.y * n.y, m.z * n.z, m.x * n.y, m.x * n.z, m.y * n.z], b: Vec3::ZERO, c: 0.0, weight }
     }
 
     fn times(&self, d: Vec3) -> Vec3 {

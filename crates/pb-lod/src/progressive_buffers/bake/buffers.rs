@@ -1,0 +1,181 @@
+//! One cluster's buffers: the order of its vertices, parents, and an index buffer per level.
+
+use crate::progressive_buffers::codec::{Chunk, encode_chunk};
+use crate::progressive_buffers::layout::{LevelRecord, SLOT_NONE, Vertex};
+use crate::progressive_buffers::write::EncodedChunk;
+use pb_mesh::mesh::Wedge;
+use pb_mesh::simplify::Collapses;
+use pb_mesh::topology::Kind;
+
+/// Cache size that ACMR is reported for.
+const ACMR_CACHE: u32 = 16;
+/// Not numbered yet.
+const NONE: u32 = u32::MAX;
+
+/// What every cluster's buffers are made from.
+pub(super) struct Source<'a> {
+    pub wedges: &'a [Wedge],
+    /// Wedge indices of the input triangles.
+    pub triangles: &'a [[u32; 3]],
+    pub points: &'a [[i32; 3]],
+    pub kinds: &'a [Kind],
+    pub collapses: &'a Collapses,
+    pub levels: usize,
+}
+
+/// Where one cluster lies and who its neighbours are.
+pub(super) struct Place<'a> {
+    pub triangles: &'a [u32],
+    pub origin: [i32; 3],
+    pub shift: u32,
+    /// Border slot of a border position of this cluster.
+    pub slot_of: &'a (dyn Fn(u32) -> u8 + Sync),
+}
+
+/// Level records (error still 0) and packed chunks of one cluster, finest first.
+pub(super) fn build(source: &Source, place: &Place) -> (Vec<LevelRecord>, Vec<EncodedChunk>) {
+    let local = Local::new(source, place.triangles);
+    let (order, starts, index_buffers) = local.number(source.levels);
+    let vertices = local.vertices(source, place, &order);
+    let mut records = Vec::with_capacity(source.levels);
+    let mut chunks = Vec::with_capacity(source.levels);
+    for level in 0..source.levels {
+        let (end, first) = (starts[level], if level + 1 < source.levels { starts[level + 1] } else { 0 });
+        let indices = &index_buffers[level];
+        let acmr = match indices.is_empty() {
+            true => 0.0,
+            false => meshopt::analyze_vertex_cache(indices, end as usize, ACMR_CACHE, 0, 0).acmr,
+        };
+        records.push(LevelRecord { vertices: end, triangles: (indices.len() / 3) as u32, error: 0.0, acmr });
+        let chunk = Chunk {
+            first_vertex: first,
+            vertices: vertices[first as usize..end as usize].to_vec(),
+            indices: indices.iter().map(|&i| i as u16).collect(),
+        };
+        chunks.push(EncodedChunk { bytes: encode_chunk(&chunk), decoded_bytes: chunk.shape().decoded_bytes() });
+    }
+    (records, chunks)
+}
+
+/// A cluster in local wedge indices.
+struct Local {
+    /// Wedge of each local index, ascending, so that wedges of one position are neighbours.
+    wedges: Vec<u32>,
+    /// Position of each local index.
+    positions: Vec<u32>,
+    last_level: Vec<u8>,
+    parents: Vec<u32>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Local {
+    fn new(source: &Source, triangles: &[u32]) -> Self {
+        let mut wedges: Vec<u32> = triangles.iter().flat_map(|&t| source.triangles[t as usize]).collect();
+        wedges.sort_unstable();
+        wedges.dedup();
+        let positions: Vec<u32> = wedges.iter().map(|&w| source.wedges[w as usize].position).collect();
+        let local = |w: u32| wedges.binary_search(&w).expect("collected above") as u32;
+        let parents = (0..wedges.len()).map(|i| parent_wedge(source, &wedges, &positions, i)).collect();
+        Local {
+            triangles: triangles.iter().map(|&t| source.triangles[t as usize].map(local)).collect(),
+            last_level: positions.iter().map(|&p| source.collapses.last_level[p as usize]).collect(),
+            parents,
+            positions,
+            wedges,
+        }
+    }
+
+    fn ancestor(&self, mut v: u32, level: u8) -> u32 {
+        while self.last_level[v as usize] < level {
+            v = self.parents[v as usize];
+        }
+        v
+    }
+
+    /// Triangles of every level, finest first.
+    fn level_triangles(&self, levels: usize) -> Vec<Vec<[u32; 3]>> {
+        let mut list = vec![self.triangles.clone()];
+        for level in 1..levels as u8 {
+            let finer = list.last().expect("level 0 is there");
+            let coarse = finer.iter().map(|t| t.map(|v| self.ancestor(v, level)));
+            let p = |v: u32| self.positions[v as usize];
+            let coarse = coarse.filter(|t| p(t[0]) != p(t[1]) && p(t[1]) != p(t[2]) && p(t[2]) != p(t[0])).collect();
+            list.push(coarse);
+        }
+        list
+    }
+
+    /// Numbers the vertices coarsest level first, inside a level in the order of first use. Returns the local index
+    /// of every vertex, `n_i` per level, and the index buffers.
+    fn number(&self, levels: usize) -> (Vec<u32>, Vec<u32>, Vec<Vec<u32>>) {
+        let count = self.wedges.len();
+        let triangles = self.level_triangles(levels);
+        let (mut number, mut order) = (vec![NONE; count], Vec::with_capacity(count));
+        let mut starts = vec![0; levels];
+        let mut buffers = vec![Vec::new(); levels];
+        for level in (0..levels).rev() {
+            let mut indices: Vec<u32> = triangles[level].as_flattened().to_vec();
+            if !indices.is_empty() {
+                meshopt::optimize_vertex_cache_in_place(&mut indices, count);
+            }
+            let alive = (0..count as u32).filter(|&v| self.last_level[v as usize] as usize >= level);
+            for v in indices.iter().copied().chain(alive) {
+                if number[v as usize] == NONE {
+                    number[v as usize] = order.len() as u32;
+                    order.push(v);
+                }
+            }
+            indices.iter_mut().for_each(|v| *v = number[*v as usize]);
+            starts[level] = order.len() as u32;
+            buffers[level] = indices;
+        }
+        (order, starts, buffers)
+    }
+
+    fn vertices(&self, source: &Source, place: &Place, order: &[u32]) -> Vec<Vertex> {
+        let mut number = vec![0u16; order.len()];
+        for (i, &v) in order.iter().enumerate() {
+            number[v as usize] = i as u16;
+        }
+        let vertex = |&v: &u32| {
+            let wedge = &source.wedges[self.wedges[v as usize] as usize];
+            let point = source.points[wedge.position as usize];
+            let last = self.last_level[v as usize];
+            let parent = if last as usize + 1 < source.levels { self.ancestor(v, last + 1) } else { v };
+            let slot = match source.kinds[wedge.position as usize] {
+                Kind::Border => (place.slot_of)(wedge.position),
+                _ => SLOT_NONE,
+            };
+            Vertex {
+                offset: std::array::from_fn(|k| ((point[k] - place.origin[k]) >> place.shift) as u16),
+                parent: number[parent as usize],
+                normal_slot: Vertex::pack_normal_slot(wedge.normal, slot),
+                color: wedge.color,
+            }
+        };
+        order.iter().map(vertex).collect()
+    }
+}
+
+/// Local index of the wedge that local wedge `i` becomes when its position collapses: of those that the cluster uses
+/// at the parent position, the one with the most similar normal and colour.
+fn parent_wedge(source: &Source, wedges: &[u32], positions: &[u32], i: usize) -> u32 {
+    let parent = source.collapses.parent[positions[i] as usize];
+    if parent == positions[i] {
+        return i as u32;
+    }
+    let from = positions.partition_point(|&p| p < parent);
+    let own = &source.wedges[wedges[i] as usize];
+    let difference = |w: &Wedge| {
+        let bend = (0..3).map(|k| (w.normal[k] - own.normal[k]).powi(2)).sum::<f32>();
+        let tint = (0..4).map(|k| ((f32::from(w.color[k]) - f32::from(own.color[k])) / 255.0).powi(2)).sum::<f32>();
+        bend + tint
+    };
+    let candidates = (from..positions.len()).take_while(|&j| positions[j] == parent);
+    candidates
+        .min_by(|&a, &b| {
+            let d = |j: usize| difference(&source.wedges[wedges[j] as usize]);
+            d(a).total_cmp(&d(b))
+        })
+        .expect("a position collapses only onto one of its own cluster (I2)") as u32
+}

@@ -1,0 +1,137 @@
+//! The integer grid: every position becomes a grid point that all its clusters can store (design section 2).
+//!
+//! A cluster stores 16-bit offsets in steps of `2^shift` quanta. Most clusters have shift 0; one that holds long
+//! triangles has coarser steps, and the positions it shares are snapped to the coarsest step among their clusters.
+
+use pb_mesh::segment::Segmentation;
+use pb_mesh::topology::Fans;
+use rayon::prelude::*;
+
+/// Largest offset of a vertex from its cluster's origin, in steps.
+const MAX_OFFSET: i64 = 65_535;
+/// The model spans at most this many quanta per axis, so that sums of grid coordinates fit i32.
+const MAX_SPAN: f64 = (1u32 << 29) as f64;
+/// The quantum lets this share of the clusters use single steps.
+const FINE_SHARE: f64 = 0.75;
+
+/// All positions on the grid.
+pub(super) struct Grid {
+    /// World position of grid point (0, 0, 0).
+    pub origin: [f64; 3],
+    /// Grid step, input units: a power of two.
+    pub quantum: f64,
+    /// Grid points.
+    pub points: Vec<[i32; 3]>,
+    /// Offset step of each cluster, as a power of two of the quantum.
+    pub shifts: Vec<u32>,
+    /// Largest distance that snapping moved a position of each cluster, input units.
+    pub snap_errors: Vec<f64>,
+    /// Sum of squared distances over all positions.
+    pub snap_squares: f64,
+}
+
+/// Chooses quantum and steps, and snaps.
+pub(super) fn snap(
+    positions: &[[f64; 3]],
+    triangles: &[[u32; 3]],
+    clusters: &Segmentation,
+    cluster_of: &[u32],
+    fans: &Fans,
+) -> Grid {
+    let extents: Vec<f64> = (0..clusters.len())
+        .into_par_iter()
+        .map(|c| {
+            let (lo, hi) =
+                bounds(clusters.cluster(c).iter().flat_map(|&t| triangles[t as usize]).map(|v| positions[v as usize]));
+            (0..3).map(|k| hi[k] - lo[k]).fold(0.0, f64::max)
+        })
+        .collect();
+    let (lo, hi) = bounds(positions.iter().copied());
+    let span = (0..3).map(|k| hi[k] - lo[k]).fold(0.0, f64::max);
+    let quantum = choose_quantum(&extents, span);
+    let origin = std::array::from_fn(|k| ((lo[k] * 0.5 + hi[k] * 0.5) / quantum).round() * quantum);
+    let mut shifts: Vec<u32> = extents.iter().map(|e| shift_for((e / quantum) as i64 + 2)).collect();
+    loop {
+        let points = snap_points(positions, origin, quantum, cluster_of, fans, &shifts);
+        let needed: Vec<u32> = (0..clusters.len())
+            .into_par_iter()
+            .map(|c| {
+                let corners = clusters.cluster(c).iter().flat_map(|&t| triangles[t as usize]);
+                let (lo, hi) = bounds(corners.map(|v| points[v as usize].map(f64::from)));
+                shift_for((0..3).map(|k| (hi[k] - lo[k]) as i64).max().expect("three axes")).max(shifts[c])
+            })
+            .collect();
+        if needed == shifts {
+            let (snap_errors, snap_squares) =
+                errors(positions, &points, origin, quantum, cluster_of, fans, clusters.len());
+            return Grid { origin, quantum, points, shifts, snap_errors, snap_squares };
+        }
+        shifts = needed;
+    }
+}
+
+fn bounds(points: impl Iterator<Item = [f64; 3]>) -> ([f64; 3], [f64; 3]) {
+    points.fold(([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]), |(lo, hi), p| {
+        (std::array::from_fn(|k| lo[k].min(p[k])), std::array::from_fn(|k| hi[k].max(p[k])))
+    })
+}
+
+fn choose_quantum(extents: &[f64], span: f64) -> f64 {
+    let mut sorted = extents.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let typical = sorted[((sorted.len() - 1) as f64 * FINE_SHARE) as usize].max(span * 1e-12);
+    let wanted = (typical / (MAX_OFFSET - 2) as f64).max(span / MAX_SPAN).max(f64::MIN_POSITIVE * 1e20);
+    wanted.log2().ceil().exp2()
+}
+
+/// Smallest step in which an extent of `quanta` fits 16 bits.
+fn shift_for(quanta: i64) -> u32 {
+    (0..31).find(|s| quanta >> s <= MAX_OFFSET - 1).unwrap_or(31)
+}
+
+fn snap_points(
+    positions: &[[f64; 3]],
+    origin: [f64; 3],
+    quantum: f64,
+    cluster_of: &[u32],
+    fans: &Fans,
+    shifts: &[u32],
+) -> Vec<[i32; 3]> {
+    let plain = shifts.iter().all(|&s| s == 0);
+    positions
+        .par_iter()
+        .enumerate()
+        .map(|(v, p)| {
+            let shift = match plain {
+                true => 0,
+                false => {
+                    fans.around(v as u32).iter().map(|&t| shifts[cluster_of[t as usize] as usize]).max().unwrap_or(0)
+                }
+            };
+            let step = quantum * f64::from(1u32 << shift);
+            std::array::from_fn(|k| (((p[k] - origin[k]) / step).round() as i32) << shift)
+        })
+        .collect()
+}
+
+fn errors(
+    positions: &[[f64; 3]],
+    points: &[[i32; 3]],
+    origin: [f64; 3],
+    quantum: f64,
+    cluster_of: &[u32],
+    fans: &Fans,
+    clusters: usize,
+) -> (Vec<f64>, f64) {
+    let mut max = vec![0f64; clusters];
+    let mut squares = 0.0;
+    for (v, (p, g)) in positions.iter().zip(points).enumerate() {
+        let square = (0..3).map(|k| (p[k] - (origin[k] + f64::from(g[k]) * quantum)).powi(2)).sum::<f64>();
+        squares += square;
+        for &t in fans.around(v as u32) {
+            let m = &mut max[cluster_of[t as usize] as usize];
+            *m = m.max(square);
+        }
+    }
+    (max.into_iter().map(f64::sqrt).collect(), squares)
+}
