@@ -20,5 +20,5 @@ pub use format::{
     ALIGNMENT, CHUNK_TABLE, ChunkRecord, FEATURES, FORMAT_VERSION, FeatureRecord, Header, MAGIC, SectionRecord,
 };
 pub use reader::{Archive, Table};
-pub use storage::{FileStorage, Overwrite, Storage};
+pub use storage::{FileStorage, MemoryStorage, Overwrite, Storage};
 pub use writer::{Feature, Writer};

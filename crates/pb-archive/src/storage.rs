@@ -2,9 +2,11 @@
 
 use crate::error::{ArchiveError, Fault};
 use crate::format::MAGIC;
+use std::cell::RefCell;
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind, Read, Result, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use tempfile::NamedTempFile;
 
 /// Bytes gathered before the system is called.
@@ -129,5 +131,42 @@ impl Storage for FileStorage {
     fn sync_folder(&mut self) -> Result<()> {
         // Only Unix lets a folder be opened and synced; elsewhere the rename is journalled by the system.
         if cfg!(unix) { File::open(&self.folder)?.sync_all() } else { Ok(()) }
+    }
+}
+
+/// An archive in memory; every clone sees the same bytes.
+#[derive(Clone, Default)]
+pub struct MemoryStorage {
+    bytes: Rc<RefCell<Vec<u8>>>,
+}
+
+impl MemoryStorage {
+    /// A copy of what was written.
+    pub fn to_vec(&self) -> Vec<u8> {
+        self.bytes.borrow().clone()
+    }
+}
+
+impl Storage for MemoryStorage {
+    fn append(&mut self, bytes: &[u8]) -> Result<()> {
+        self.bytes.borrow_mut().extend(bytes);
+        Ok(())
+    }
+
+    fn replace(&mut self, offset: u64, bytes: &[u8]) -> Result<()> {
+        self.bytes.borrow_mut()[offset as usize..][..bytes.len()].copy_from_slice(bytes);
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn publish(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn sync_folder(&mut self) -> Result<()> {
+        Ok(())
     }
 }

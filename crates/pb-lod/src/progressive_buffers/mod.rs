@@ -6,6 +6,7 @@
 //! - [`hierarchy`]: the coarse buffer hierarchy and the order of the clusters;
 //! - [`write`](mod@write): a finished bake becomes a file;
 //! - [`model`]: a file becomes a checked model;
+//! - [`verify`](mod@verify): checks every promise of a model on its decoded data;
 //! - [`display`]: the display rule, the Rust twin of the vertex shader;
 //! - [`displayed_surface`](mod@displayed_surface): what a frame shows, all clusters welded;
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
@@ -16,6 +17,8 @@ pub mod codec;
 pub mod display;
 pub mod displayed_surface;
 #[cfg(test)]
+mod baked_torus;
+#[cfg(test)]
 mod grid_torus;
 pub mod hierarchy;
 pub mod layout;
@@ -24,4 +27,5 @@ pub mod model;
 mod model_check;
 pub mod select;
 pub mod switch;
+pub mod verify;
 pub mod write;

@@ -26,7 +26,7 @@ pub struct BakedModel {
     pub clusters: Vec<ClusterRecord>,
     /// `cluster * levels + level`.
     pub levels: Vec<LevelRecord>,
-    /// The clusters' neighbour lists one after the other, each in rising order.
+    /// The clusters' neighbour lists one after the other, in cluster order.
     pub neighbours: Vec<u32>,
     /// The coarse buffer hierarchy, node 0 is the root.
     pub nodes: Vec<NodeRecord>,
