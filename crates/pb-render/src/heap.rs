@@ -2,7 +2,8 @@
 //!
 //! A single heap leaves no split between vertices and indices to get wrong. Free space that is scattered over
 //! too small holes is brought together by sliding the ranges down ([`Heap::allocate`] asks for it by itself), so
-//! an allocation fails only when the bytes are truly not there.
+//! an allocation fails only when the bytes are not there, give or take an eighth of itself
+//! ([`Heap::plannable_units`] leaves that out, so whoever keeps to it never fails).
 //! Must never: hand out a range that is in use; know what is inside a range.
 
 use offset_allocator::{Allocation, Allocator};
@@ -136,7 +137,7 @@ mod tests {
 
     #[test]
     fn scattered_holes_are_joined_when_a_chunk_needs_them() {
-        let mut heap = Heap::new(1000, 100, 20);
+        let mut heap = Heap::new(1040, 100, 20);
         for slot in 0..9 {
             heap.allocate(slot, 100).unwrap();
         }
@@ -147,7 +148,7 @@ mod tests {
         assert_eq!(range, Range { first: 600, units: 300 });
         assert_eq!(moves[0], Move { from: 300, to: 200, units: 100 });
         assert_eq!(heap.used_units(), 900);
-        assert!(heap.allocate(11, 200).is_err(), "only 100 units are left");
+        assert!(heap.allocate(11, 200).is_err(), "only 140 units are left");
     }
 
     /// A simple random number, the same on every run.

@@ -133,26 +133,21 @@ fn stored(cluster: u32, v: u32, dies: u32) -> vec4<u32> {
 //
 // First past the ancestors whose own lod has left them behind; then a mix with the ancestors that follow, each
 // weighed by its own lod, so that the place is continuous whichever of them reaches the next level first.
+//
+// One loop with one copy of each sum: a finer cluster that has walked up to a vertex and a coarser one that starts
+// there run the very same instructions on it.
 fn display(cluster: u32, index: u32) -> Displayed {
     let last = view.levels - 1u;
-    var level = death(cluster, index, 0u);
-    var vertex = stored(cluster, index, level);
-    var position = position_of(cluster, vertex);
-    var t = lod_of(cluster, vertex, position);
-    var here = plain(cluster, vertex, position);
-    var shown = here;
+    var v = index;
+    var level = 0u;
     var weight = 1.0;
     var passing = true;
-    while level < last && t > f32(level) && weight > 0.0 {
-        passing = passing && t >= f32(level + 1u);
-        if !passing {
-            weight *= min(t - f32(level), 1.0) * view.morph;
-        }
-        let parent = vertex.y >> 16u;
-        level = death(cluster, parent, level + 1u);
-        vertex = stored(cluster, parent, level);
-        position = position_of(cluster, vertex);
-        t = lod_of(cluster, vertex, position);
+    var here: Displayed;
+    var shown: Displayed;
+    loop {
+        level = death(cluster, v, level);
+        let vertex = stored(cluster, v, level);
+        let position = position_of(cluster, vertex);
         let next = plain(cluster, vertex, position);
         if passing {
             shown = next;
@@ -162,6 +157,19 @@ fn display(cluster: u32, index: u32) -> Displayed {
             shown.color += (next.color - here.color) * weight;
         }
         here = next;
+        if level == last {
+            break;
+        }
+        let t = lod_of(cluster, vertex, position);
+        passing = passing && t >= f32(level + 1u);
+        if !passing {
+            weight *= clamp(t - f32(level), 0.0, 1.0) * view.morph;
+            if weight == 0.0 {
+                break;
+            }
+        }
+        v = vertex.y >> 16u;
+        level++;
     }
     return shown;
 }
