@@ -1,3 +1,196 @@
-//! Independent measurements.
+//! Independent measurements: nothing here uses the product's crates, so that no mistake can confirm itself.
 
-fn main() {}
+mod chain;
+mod distance;
+mod generate;
+mod images;
+mod levels;
+mod mesh;
+mod random;
+mod watertight;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Result, ensure};
+use clap::{Parser, Subcommand};
+use serde_json::json;
+
+use crate::distance::Surface;
+use crate::generate::Kind;
+use crate::mesh::Mesh;
+
+/// Makes test meshes and measures surfaces, archives and frames. Results are JSON on standard output.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Measurement,
+}
+
+#[derive(Subcommand)]
+enum Measurement {
+    /// Make a mesh from a seed.
+    Generate {
+        kind: Kind,
+        /// Where it goes: .ply (binary) or .obj.
+        out: PathBuf,
+        /// About how many triangles.
+        #[arg(long, default_value_t = 100_000)]
+        triangles: usize,
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
+    /// Distance between two surfaces, both ways, by sampling.
+    Distance {
+        a: PathBuf,
+        b: PathBuf,
+        #[arg(long, default_value_t = 200_000)]
+        samples: usize,
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
+    /// Count open and non-manifold edges after joining equal positions; exit 1 when a file is not closed.
+    Watertight {
+        #[arg(required = true)]
+        files: Vec<PathBuf>,
+    },
+    /// Collapse a mesh with the meshopt crate to given vertex counts, each from the one before.
+    MeshoptChain {
+        input: PathBuf,
+        /// Vertex counts, e.g. 10000,2500,625.
+        #[arg(long, value_delimiter = ',', required = true)]
+        counts: Vec<usize>,
+        /// Folder for the results, as PLY.
+        #[arg(long)]
+        out: Option<PathBuf>,
+        #[arg(long, default_value_t = 200_000)]
+        samples: usize,
+    },
+    /// Time of a plain meshopt chain, each step to a quarter of the triangles.
+    MeshoptSpeed {
+        input: PathBuf,
+        #[arg(long, default_value_t = 4)]
+        steps: u32,
+    },
+    /// All levels of an archive against its input and against meshopt; exit 1 when a stated bound does not hold.
+    Levels {
+        archive: PathBuf,
+        input: PathBuf,
+        #[arg(long, default_value_t = 200_000)]
+        samples: usize,
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// The pb-bake to ask; else the one beside this program.
+        #[arg(long)]
+        pb_bake: Option<PathBuf>,
+        /// Print the table of docs/performance.md instead of JSON.
+        #[arg(long)]
+        markdown: bool,
+    },
+    /// Largest pixel change between neighbouring PNG frames of two flights, and its ratio.
+    Images { a: PathBuf, b: PathBuf },
+}
+
+fn main() -> ExitCode {
+    match run(Arguments::parse().command) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("pb-measure: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// True when everything that was checked holds.
+fn run(command: Measurement) -> Result<bool> {
+    match command {
+        Measurement::Generate { kind, out, triangles, seed } => {
+            ensure!(triangles > 0 && triangles <= 50_000_000, "--triangles must be 1 to 50 million");
+            let mesh = generate::generate(kind, triangles, seed);
+            mesh.write(&out)?;
+            println!("{}", json!({ "triangles": mesh.triangles.len(), "vertices": mesh.positions.len() }));
+        }
+        Measurement::Distance { a, b, samples, seed } => {
+            let found = distance_of(&Mesh::read(&a)?, &Mesh::read(&b)?, samples, seed)?;
+            println!("{found:#}");
+        }
+        Measurement::Watertight { files } => return watertight_of(&files),
+        Measurement::MeshoptChain { input, counts, out, samples } => {
+            let input = Mesh::read(&input)?.welded();
+            for (link, wanted) in chain::chain(&input, &counts).iter().zip(&counts) {
+                let mut found = distance_of(&link.mesh, &input, samples, 1)?;
+                found["wanted_vertices"] = json!(wanted);
+                found["vertices"] = json!(link.mesh.positions.len());
+                found["seconds"] = json!(link.seconds);
+                println!("{found:#}");
+                if let Some(folder) = &out {
+                    std::fs::create_dir_all(folder)?;
+                    link.mesh.write(&folder.join(format!("{wanted}.ply")))?;
+                }
+            }
+        }
+        Measurement::MeshoptSpeed { input, steps } => {
+            let start = Instant::now();
+            let mesh = Mesh::read(&input)?.welded();
+            let read = start.elapsed().as_secs_f64();
+            let seconds = chain::quarters(&mesh, steps);
+            let speed = mesh.triangles.len() as f64 / seconds / 1e6;
+            println!(
+                "{:#}",
+                json!({ "triangles": mesh.triangles.len(), "read_secs": read, "chain_secs": seconds, "mtri_per_sec": speed })
+            );
+        }
+        Measurement::Levels { archive, input, samples, seed, pb_bake, markdown } => {
+            let pb_bake = pb_bake.unwrap_or_else(levels::default_pb_bake);
+            let job = levels::Job { pb_bake: &pb_bake, archive: &archive, input: &input, samples, seed };
+            let (figures, table) = levels::measure(&job)?;
+            if markdown {
+                print!("{table}")
+            } else {
+                println!("{figures:#}")
+            }
+            return Ok(figures["levels"].as_array().is_some_and(|l| l.iter().all(|r| r["bound_holds"] == true)));
+        }
+        Measurement::Images { a, b } => {
+            let (a, b) = (images::changes(&a)?, images::changes(&b)?);
+            let largest = |c: &[u8]| c.iter().copied().max().unwrap_or(0);
+            let ratio = f64::from(largest(&a)) / f64::from(largest(&b).max(1));
+            println!(
+                "{}",
+                json!({ "a": a, "b": b, "largest_a": largest(&a), "largest_b": largest(&b), "ratio": ratio })
+            );
+        }
+    }
+    Ok(true)
+}
+
+fn distance_of(a: &Mesh, b: &Mesh, samples: usize, seed: u64) -> Result<serde_json::Value> {
+    let (low, high) = b.bounds();
+    let center = std::array::from_fn(|k| low[k].midpoint(high[k]));
+    let found = Surface::new(a, center)?.both_ways(&Surface::new(b, center)?, samples, seed);
+    Ok(json!({
+        "rms": found.rms(), "max": found.max(), "diagonal": b.diagonal(),
+        "rms_over_diagonal": found.rms() / b.diagonal(), "max_over_diagonal": found.max() / b.diagonal(),
+        "a_to_b": { "rms": found.a_to_b.rms, "max": found.a_to_b.max },
+        "b_to_a": { "rms": found.b_to_a.rms, "max": found.b_to_a.max },
+    }))
+}
+
+fn watertight_of(files: &[PathBuf]) -> Result<bool> {
+    let mut closed = true;
+    for file in files {
+        let found = watertight::check(&Mesh::read(file)?);
+        closed &= found.unmatched_edges == 0;
+        println!(
+            "{}",
+            json!({
+                "file": file.display().to_string(), "triangles": found.triangles, "vertices": found.vertices,
+                "unmatched_edges": found.unmatched_edges, "non_manifold_edges": found.non_manifold_edges,
+            })
+        );
+    }
+    Ok(closed)
+}
