@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use crate::picture::Format;
 use crate::size::parse_bytes;
+use crate::stage::Bounds;
 
 const AFTER_HELP: &str = "\
 In the window:
@@ -163,6 +164,11 @@ impl Args {
             Some([k, s]) => Detail::Bands { k, s },
             None => Detail::ErrorPx(self.error_px),
         }
+    }
+
+    /// The byte bounds.
+    pub fn bounds(&self) -> Bounds {
+        Bounds { vram_bytes: self.vram, ram_bytes: self.ram }
     }
 
     /// Colours and debug switches.

@@ -4,9 +4,22 @@
 //! This library is its inside, so that tests can reach it.
 
 pub mod args;
+mod export;
+pub mod failure;
 pub mod flypath;
+mod headless;
 pub mod navigate;
 mod overlay;
 mod picture;
 mod size;
+pub mod stage;
 mod stats;
+mod window;
+
+/// Runs the program.
+pub fn run(args: args::Args) -> anyhow::Result<failure::Outcome> {
+    match args.without_window() {
+        true => headless::run(&args),
+        false => window::run(args),
+    }
+}

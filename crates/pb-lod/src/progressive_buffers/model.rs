@@ -187,7 +187,7 @@ impl Model {
     }
 
     /// The lists of all clusters in one.
-    pub(super) fn neighbour_entries(&self) -> &[u32] {
+    pub fn neighbour_entries(&self) -> &[u32] {
         self.rows(&self.neighbours)
     }
 

@@ -1,0 +1,142 @@
+//! Flights without a window: one frame after the other, each exactly one frame's time after the last.
+//!
+//! Must never: let the wall clock into what is drawn; with --settle, let the threads either.
+
+use anyhow::{Context, Result, bail};
+use pb_render::{Gpu, Offscreen, Surface};
+use std::path::Path;
+use std::time::Instant;
+
+use crate::args::Args;
+use crate::export::write_ply;
+use crate::failure::Outcome;
+use crate::flypath::{Flypath, default_flight};
+use crate::size::show_bytes;
+use crate::stage::{Moment, Stage, open_model, subject};
+use crate::stats::{FrameStats, StatsFile};
+
+/// Vertical field of view of the default flight, degrees.
+const FOV_DEG: f64 = 50.0;
+
+/// Flies the flypath, or the default one, and writes what `args` asks for.
+pub fn run(args: &Args) -> Result<Outcome> {
+    let flight = args.flypath.as_deref().map(Flypath::open).transpose()?;
+    let model = open_model(&args.archive)?;
+    let flight = flight.unwrap_or_else(|| {
+        let s = subject(model.record(), args.up.vector());
+        default_flight(s.center, s.radius, s.up, FOV_DEG)
+    });
+    check_exports(args, flight.frames())?;
+    if let Some(folder) = &args.frames {
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    }
+    let gpu = Gpu::headless()?;
+    if args.wireframe && !gpu.wireframe {
+        eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
+    }
+    let target = Offscreen::new(&gpu, args.size, args.format.texture())?;
+    let mut stage = Stage::new(&gpu, model, args.bounds(), target.format)?;
+    if args.plain_draws {
+        stage.renderer.set_multi_draw(&gpu, false);
+    }
+    let mut run = Run { args, gpu: &gpu, target, stats: args.stats.as_deref().map(StatsFile::create).transpose()? };
+    let mut total = Total::default();
+    for frame in 0..flight.frames() {
+        total.add(run.frame(&mut stage, &flight, frame)?);
+    }
+    if let Some(stats) = run.stats {
+        stats.finish()?;
+    }
+    let damaged = stage.damaged_chunks();
+    total.print(args, damaged);
+    Ok(if damaged == 0 { Outcome::Done } else { Outcome::Damaged })
+}
+
+fn check_exports(args: &Args, frames: u32) -> Result<()> {
+    match args.export_view.iter().find(|e| e.frame >= frames) {
+        Some(e) => bail!("--export-view {}: the flight has frames 0 to {}; name one of them", e.frame, frames - 1),
+        None => Ok(()),
+    }
+}
+
+struct Run<'a> {
+    args: &'a Args,
+    gpu: &'a Gpu,
+    target: Offscreen,
+    stats: Option<StatsFile>,
+}
+
+impl Run<'_> {
+    fn frame(&mut self, stage: &mut Stage, flight: &Flypath, frame: u32) -> Result<(FrameStats, f64)> {
+        let start = Instant::now();
+        let key = flight.at(flight.time(frame));
+        let moment = Moment { key, size: self.args.size, detail: self.args.detail(), dt_secs: flight.dt_secs() as f32 };
+        match self.args.settle {
+            true => stage.settle(self.gpu, &moment)?,
+            false => stage.advance(self.gpu, &moment)?,
+        }
+        let surface = Surface { color: &self.target.color, depth: &self.target.depth, size: self.target.size };
+        stage.draw(self.gpu, &surface, &moment, self.args.style());
+        self.gpu.wait()?;
+        let frame_ms = start.elapsed().as_secs_f64() * 1e3;
+        let stats = stage.stats();
+        if let Some(file) = &mut self.stats {
+            file.add(frame, flight.time(frame), frame_ms, &stats)?;
+        }
+        if let Some(folder) = &self.args.frames {
+            let name = format!("frame_{frame:05}.{}", self.args.format.extension());
+            self.args.format.write(&folder.join(name), self.target.size, &self.target.read(self.gpu)?)?;
+        }
+        for export in self.args.export_view.iter().filter(|e| e.frame == frame) {
+            export_view(stage, &moment, &export.path)?;
+        }
+        Ok((stats, frame_ms))
+    }
+}
+
+fn export_view(stage: &Stage, moment: &Moment, path: &Path) -> Result<()> {
+    let shown = stage.shown(moment);
+    let surface = shown.surface()?;
+    write_ply(path, &surface, &shown.eye, stage.model.record())
+}
+
+/// Sums for the line at the end.
+#[derive(Default)]
+struct Total {
+    frames: u32,
+    ms: f64,
+    triangles: u64,
+    vram_bytes: u64,
+    ram_bytes: u64,
+}
+
+impl Total {
+    fn add(&mut self, (stats, frame_ms): (FrameStats, f64)) {
+        self.frames += 1;
+        self.ms += frame_ms;
+        self.triangles += stats.triangles;
+        self.vram_bytes = self.vram_bytes.max(stats.vram_bytes);
+        self.ram_bytes = self.ram_bytes.max(stats.ram_bytes);
+    }
+
+    fn print(&self, args: &Args, damaged: u32) {
+        println!(
+            "{} frames, {:.1} ms and {} triangles each on average; at most {} of VRAM and {} of RAM",
+            self.frames,
+            self.ms / self.frames as f64,
+            self.triangles / self.frames as u64,
+            show_bytes(self.vram_bytes),
+            show_bytes(self.ram_bytes)
+        );
+        for (what, path) in [("frames", &args.frames), ("statistics", &args.stats)] {
+            if let Some(path) = path {
+                println!("{what}: {}", path.display());
+            }
+        }
+        if damaged > 0 {
+            eprintln!(
+                "pb-view: {damaged} damaged chunks were left out; the picture is coarser there. Bake the archive again"
+            );
+        }
+    }
+}

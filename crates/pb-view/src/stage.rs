@@ -1,0 +1,324 @@
+//! The frame loop's inside: selection, cache, loader threads and adapter, brought together for one model.
+//!
+//! Per frame: select -> wants -> cache -> loads, uploads, frees -> draw. Must never: block on a loader, except to
+//! settle; draw what is not resident; decide by itself what is loaded.
+
+use anyhow::{Context, Result};
+use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, View};
+use pb_lod::progressive_buffers::codec::Chunk;
+use pb_lod::progressive_buffers::layout::ModelRecord;
+use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_lod::progressive_buffers::select::{SelectTables, Selector};
+use pb_lod::progressive_buffers::switch::Switch;
+use pb_render::{Camera, ChunkData, Gpu, ModelTables, Renderer, Scene, Style, Surface, grid_eye};
+use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
+use pb_stream::loader::{LoadResult, Loader};
+use rayon::prelude::*;
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::export::ShownFrame;
+use crate::flypath::Keyframe;
+use crate::navigate::Subject;
+use crate::stats::FrameStats;
+
+/// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
+const NEAR: f64 = 1e-6;
+/// Loader threads.
+const LOADERS: usize = 2;
+/// Most rounds of settling one frame.
+const MAX_SETTLE_ROUNDS: u32 = 100_000;
+
+/// Byte bounds of the upper tiers.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Model data on the adapter.
+    pub vram_bytes: u64,
+    /// Decoded chunks in memory.
+    pub ram_bytes: u64,
+}
+
+/// One frame's place, time and wishes.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment {
+    /// The camera.
+    pub key: Keyframe,
+    /// Width and height of the picture, pixels.
+    pub size: [u32; 2],
+    /// Error or bands asked for.
+    pub detail: Detail,
+    /// Seconds since the last frame.
+    pub dt_secs: f32,
+}
+
+/// Opens an archive and warns of nothing: a model that opens can be drawn at its coarsest level or says why not.
+pub fn open_model(path: &Path) -> Result<Arc<Model>, ModelError> {
+    Model::open(path).map(Arc::new)
+}
+
+/// The sphere around the model's bounds, world space, for cameras that go around it.
+pub fn subject(model: &ModelRecord, up: glam::DVec3) -> Subject {
+    let world =
+        |grid: [i32; 3]| glam::DVec3::from(model.origin) + glam::DVec3::from(grid.map(|g| g as f64)) * model.quantum;
+    let (low, high) = (world(model.bounds_min), world(model.bounds_max));
+    Subject { center: (low + high) * 0.5, radius: (low.distance(high) * 0.5).max(model.quantum), up }
+}
+
+/// A model on its way from the file to the picture.
+pub struct Stage {
+    /// The open archive.
+    pub model: Arc<Model>,
+    /// What draws it.
+    pub renderer: Renderer,
+    selector: Selector,
+    cache: Cache,
+    loader: Loader<Chunk>,
+    /// Decoded chunks, by chunk.
+    decoded: Vec<Option<Chunk>>,
+    /// May be drawn, by chunk: the cache's and all coarsest ones.
+    resident: Vec<bool>,
+    vram_budget_bytes: u64,
+    plan: Plan,
+    /// What the adapter's switch distances were made for.
+    switch: Option<Switch>,
+    near: f64,
+}
+
+impl Stage {
+    /// Decodes the coarsest level, makes all buffers, starts the loader threads. Fails when a coarsest chunk is
+    /// damaged, because nothing could stand in for it, and when a bound is too small.
+    pub fn new(gpu: &Gpu, model: Arc<Model>, bounds: Bounds, format: wgpu::TextureFormat) -> Result<Self> {
+        let tables = ModelTables {
+            model: model.record(),
+            clusters: model.clusters(),
+            levels: model.level_records(),
+            neighbours: model.neighbour_entries(),
+        };
+        let coarsest = model.levels() - 1;
+        let coarse: Result<Vec<Chunk>, ModelError> = (0..model.record().clusters)
+            .into_par_iter()
+            .map(|cluster| model.read_chunk(model.chunk_id(cluster, coarsest)))
+            .collect();
+        let coarse = coarse.context("the coarsest level cannot be read, so nothing can be drawn")?;
+        let data: Vec<ChunkData> = coarse.iter().map(chunk_data).collect();
+        let renderer = Renderer::new(gpu, &tables, &data, bounds.vram_bytes, format)?;
+        let chunk_bytes = tables.chunk_vram_bytes();
+        let selector = Selector::new(&SelectTables {
+            model: model.record(),
+            clusters: model.clusters(),
+            levels: model.level_records(),
+            neighbours: model.neighbour_entries(),
+            nodes: model.nodes(),
+            chunk_bytes: &chunk_bytes,
+        });
+        let coarse_bytes: u64 = chunk_bytes.iter().skip(coarsest as usize).step_by(model.levels() as usize).sum();
+        let heap_bytes = renderer.model.chunk_budget_bytes();
+        let cache = Cache::new(chunk_infos(&model, &chunk_bytes), Limits::new(bounds.ram_bytes, heap_bytes))?;
+        let (reader, chunks) = (model.clone(), chunk_bytes.len());
+        let loader = Loader::new(LOADERS, move |chunk: pb_stream::ChunkId| {
+            reader.read_chunk(ChunkId(chunk.0)).map_err(|e| e.to_string())
+        });
+        let s = subject(model.record(), glam::DVec3::Y);
+        Ok(Self {
+            renderer,
+            selector,
+            cache,
+            loader,
+            decoded: vec![None; chunks],
+            resident: vec![false; chunks],
+            vram_budget_bytes: coarse_bytes + heap_bytes,
+            plan: Plan::default(),
+            switch: None,
+            near: s.radius * 2.0 * NEAR,
+            model,
+        })
+    }
+
+    /// The camera of a moment.
+    pub fn camera(&self, key: &Keyframe) -> Camera {
+        Camera { eye: key.eye, target: key.target, up: key.up, fov_deg: key.fov_deg, near: self.near }
+    }
+
+    /// One frame: what is here is drawn, what is wanted is asked for.
+    pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
+        self.take_loaded();
+        self.step(gpu, moment, moment.dt_secs);
+        self.set_distances(gpu, moment);
+        Ok(())
+    }
+
+    /// One frame that waits until all that is wanted and fits is here, and floors stand still.
+    pub fn settle(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
+        for _ in 0..MAX_SETTLE_ROUNDS {
+            let before = std::mem::take(&mut self.plan);
+            self.step(gpu, moment, f32::INFINITY);
+            let still = before.floors == self.plan.floors && before.detail == self.plan.detail;
+            if self.cache.is_idle() && still {
+                self.set_distances(gpu, moment);
+                return Ok(());
+            }
+            for (chunk, result) in self.loader.drain() {
+                self.accept(chunk, result);
+            }
+        }
+        anyhow::bail!("the view did not settle in {MAX_SETTLE_ROUNDS} rounds; raise --vram or --ram")
+    }
+
+    /// Selects, and carries out what the cache says.
+    fn step(&mut self, gpu: &Gpu, moment: &Moment, dt_secs: f32) {
+        self.mark_resident();
+        let frame = Frame {
+            views: &[self.view(moment)],
+            resident: &self.resident,
+            retiring: self.cache.retiring(),
+            detail: moment.detail,
+            vram_budget_bytes: self.vram_budget_bytes,
+            dt_secs,
+        };
+        self.plan = self.selector.select(&frame);
+        let wants: Vec<pb_stream::Want> =
+            self.plan.wants.iter().filter(|w| !self.is_coarsest(w.chunk)).map(stream_want).collect();
+        let released: Vec<pb_stream::ChunkId> = self.plan.released.iter().map(|c| pb_stream::ChunkId(c.0)).collect();
+        for command in self.cache.frame(&wants, &released) {
+            self.carry_out(gpu, command);
+        }
+    }
+
+    fn carry_out(&mut self, gpu: &Gpu, command: Command) {
+        match command {
+            Command::Load(chunk) => {
+                self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
+            }
+            Command::DropRam(chunk) => self.decoded[chunk.0 as usize] = None,
+            Command::Free(chunk) => self.renderer.model.free(ChunkId(chunk.0)),
+            // Selection reads these from the cache's flags in the next frame.
+            Command::Retire(_) | Command::Keep(_) => {}
+            Command::Upload(chunk) => {
+                let data = self.decoded[chunk.0 as usize].as_ref().expect("the cache uploads what is in RAM");
+                match self.renderer.model.upload(gpu, ChunkId(chunk.0), chunk_data(data)) {
+                    Ok(()) => self.cache.uploaded(chunk),
+                    Err(_) => self.cache.upload_failed(chunk),
+                }
+            }
+        }
+    }
+
+    /// Takes what the loader threads have finished.
+    fn take_loaded(&mut self) {
+        while let Some((chunk, result)) = self.loader.try_next() {
+            self.accept(chunk, result);
+        }
+    }
+
+    fn accept(&mut self, chunk: pb_stream::ChunkId, result: LoadResult<Chunk>) {
+        match result {
+            Ok(data) => {
+                self.decoded[chunk.0 as usize] = Some(data);
+                self.cache.loaded(chunk);
+            }
+            Err(error) => {
+                eprintln!("pb-view: warning: {error}; coarser data is drawn instead");
+                self.cache.load_failed(chunk);
+            }
+        }
+    }
+
+    fn is_coarsest(&self, chunk: ChunkId) -> bool {
+        self.model.coarser(chunk).is_none()
+    }
+
+    fn mark_resident(&mut self) {
+        self.resident.copy_from_slice(self.cache.resident());
+        let levels = self.model.levels() as usize;
+        self.resident.iter_mut().skip(levels - 1).step_by(levels).for_each(|r| *r = true);
+    }
+
+    fn view(&self, moment: &Moment) -> View {
+        self.camera(&moment.key).view(moment.size)
+    }
+
+    /// Brings the adapter's switch distances up to the plan's detail.
+    fn set_distances(&mut self, gpu: &Gpu, moment: &Moment) {
+        let detail = self.plan.detail.unwrap_or(moment.detail);
+        let angle = self.camera(&moment.key).pixel_angle(moment.size);
+        let switch = Switch::new(detail, angle, self.model.record().quantum);
+        if self.switch != Some(switch) {
+            self.renderer.set_distances(gpu, self.selector.distances(&switch));
+            self.switch = Some(switch);
+        }
+    }
+
+    /// Draws the last step's plan.
+    pub fn draw(&self, gpu: &Gpu, surface: &Surface, moment: &Moment, style: Style) {
+        let camera = self.camera(&moment.key);
+        let eye = grid_eye(self.model.record(), camera.eye);
+        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, style });
+    }
+
+    /// The surface of the last step, for export.
+    pub fn shown(&self, moment: &Moment) -> ShownFrame<'_> {
+        ShownFrame {
+            model: &self.model,
+            selector: &self.selector,
+            view: self.view(moment),
+            detail: self.plan.detail.unwrap_or(moment.detail),
+            eye: grid_eye(self.model.record(), moment.key.eye),
+        }
+    }
+
+    /// True when the next frame from the same place would look the same.
+    pub fn settled(&self) -> bool {
+        self.cache.is_idle() && (self.plan.settled || self.cache.stats().failed > 0)
+    }
+
+    /// Numbers of the last step.
+    pub fn stats(&self) -> FrameStats {
+        let coarse_draws = self.plan.coarse.len() as u32;
+        FrameStats {
+            triangles: self.plan.triangles,
+            draws: self.plan.draws.len() as u32 + coarse_draws,
+            vram_bytes: self.renderer.model.vram_bytes(),
+            ram_bytes: self.cache.stats().ram_bytes,
+            missing_chunks: self.plan.missing_chunks,
+            error_px: self.plan.error_px,
+            coarse_draws,
+            allowed_error_px: match self.plan.detail {
+                Some(Detail::ErrorPx(tau)) => tau,
+                _ => 0.0,
+            },
+        }
+    }
+
+    /// Chunks that could not be read.
+    pub fn damaged_chunks(&self) -> u32 {
+        self.cache.stats().failed
+    }
+}
+
+/// The cache's view of the chunks: the coarsest ones are outside of it, always there.
+fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
+    let info = |chunk: u32| {
+        let coarser = model.coarser(ChunkId(chunk));
+        let coarsest = coarser.is_none();
+        let bytes = u32::try_from(chunk_bytes[chunk as usize]).expect("a cluster has at most 65535 vertices");
+        ChunkInfo {
+            bytes: if coarsest { 0 } else { bytes },
+            coarser: coarser.filter(|&c| model.coarser(c).is_some()).map(|c| pb_stream::ChunkId(c.0)),
+            pinned: false,
+        }
+    };
+    (0..chunk_bytes.len() as u32).map(info).collect()
+}
+
+fn chunk_data(chunk: &Chunk) -> ChunkData<'_> {
+    ChunkData { vertices: &chunk.vertices, indices: &chunk.indices }
+}
+
+fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
+    let class = match want.class {
+        Class::Maybe => pb_stream::Class::Maybe,
+        Class::Soon => pb_stream::Class::Soon,
+        Class::Now => pb_stream::Class::Now,
+    };
+    pb_stream::Want { chunk: pb_stream::ChunkId(want.chunk.0), class, error_px: want.error_px }
+}
