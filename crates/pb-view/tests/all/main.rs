@@ -1,1 +1,4 @@
 //! Whole-program tests of pb-view.
+
+mod headless;
+mod support;
