@@ -7,11 +7,11 @@ mod images;
 mod levels;
 mod mesh;
 mod random;
+mod speed;
 mod watertight;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::{Parser, Subcommand};
@@ -68,12 +68,17 @@ enum Measurement {
         #[arg(long, default_value_t = 200_000)]
         samples: usize,
     },
-    /// Time of a plain meshopt chain, each step to a quarter of the triangles.
-    MeshoptSpeed {
-        input: PathBuf,
+    /// Speed of the whole pb-bake command, and of a plain meshopt chain, each step to a quarter of the triangles.
+    BakeSpeed {
+        mesh: PathBuf,
         #[arg(long, default_value_t = 4)]
         steps: u32,
+        /// The pb-bake to time; else the one beside this program.
+        #[arg(long)]
+        pb_bake: Option<PathBuf>,
     },
+    /// Median, 95th percentile and maximum of each column of a pb-view --stats file.
+    Stats { csv: PathBuf },
     /// All levels of an archive against its input and against meshopt; exit 1 when a stated bound does not hold.
     Levels {
         archive: PathBuf,
@@ -132,17 +137,10 @@ fn run(command: Measurement) -> Result<bool> {
                 }
             }
         }
-        Measurement::MeshoptSpeed { input, steps } => {
-            let start = Instant::now();
-            let mesh = Mesh::read(&input)?.welded();
-            let read = start.elapsed().as_secs_f64();
-            let seconds = chain::quarters(&mesh, steps);
-            let speed = mesh.triangles.len() as f64 / seconds / 1e6;
-            println!(
-                "{:#}",
-                json!({ "triangles": mesh.triangles.len(), "read_secs": read, "chain_secs": seconds, "mtri_per_sec": speed })
-            );
+        Measurement::BakeSpeed { mesh, steps, pb_bake } => {
+            println!("{:#}", speed::bake(&pb_bake.unwrap_or_else(levels::default_pb_bake), &mesh, steps)?);
         }
+        Measurement::Stats { csv } => println!("{:#}", speed::stats(&csv)?),
         Measurement::Levels { archive, input, samples, seed, pb_bake, markdown } => {
             let pb_bake = pb_bake.unwrap_or_else(levels::default_pb_bake);
             let job = levels::Job { pb_bake: &pb_bake, archive: &archive, input: &input, samples, seed };

@@ -1,0 +1,33 @@
+# All commands of the project. Each is a script that also runs without just.
+
+# list the recipes
+default:
+    @just --list
+
+# build everything, run all tests, format and lints
+test:
+    tools/test
+
+# bake two scans and fly around them without a window
+demo:
+    tools/demo
+
+# speed of pb-bake beside the meshopt crate's chain of four simplifications
+bench-bake *MESHES:
+    tools/bench-bake {{MESHES}}
+
+# distance of every level to its input, beside meshopt at the same vertex counts
+bench-levels *MESHES:
+    tools/bench-levels {{MESHES}}
+
+# frame times on this machine's adapter
+bench-view *ARGS:
+    tools/bench-view {{ARGS}}
+
+# the same at 1920x1080, for machines with a GPU
+bench-gpu *ARGS:
+    tools/bench-view {{ARGS}} --size 1920x1080
+
+# each fuzz target for SECONDS
+fuzz SECONDS="600":
+    tools/fuzz-all {{SECONDS}}
