@@ -1,3 +1,110 @@
-//! pb-bake.
+//! pb-bake: turns meshes into Progressive Buffers archives, and looks into archives.
+//!
+//! This file is the order of events and the exit codes: 0 done, 1 the input or archive is at fault, 2 the usage or the
+//! machine is. Everything that can refuse the target is asked before the work begins.
 
-fn main() {}
+mod cli;
+mod failure;
+mod inspect;
+mod progress;
+mod report;
+
+use clap::Parser;
+use cli::{BakeArgs, Cli, Command};
+use failure::{Failure, blame_input, blame_machine};
+use pb_archive::{Overwrite, Writer};
+use pb_bake::import::{self, ImportOptions};
+use pb_lod::progressive_buffers::bake::{BakeError, Stage, bake};
+use pb_lod::progressive_buffers::layout::SCHEME;
+use pb_lod::progressive_buffers::write::write_model;
+use pb_mesh::repair::{MeshError, repair};
+use progress::{Mode, Progress};
+use report::BakeSummary;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match cli.command {
+        Some(Command::Inspect(args)) => inspect::inspect(&args),
+        Some(Command::Verify(args)) => inspect::verify(&args),
+        Some(Command::Export(args)) => inspect::export(&args),
+        None => run_bake(&cli.bake),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("pb-bake: {failure}");
+            failure.exit_code()
+        }
+    }
+}
+
+fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
+    let output = args.output.as_ref().expect("the command line demands it");
+    refuse_own_input(args)?;
+    if let Some(threads) = args.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+        pool.map_err(blame_machine)?;
+    }
+    let overwrite = if args.force { Overwrite::Force } else { Overwrite::IfArchive };
+    let writer = Writer::create(output, SCHEME, overwrite).map_err(blame_machine)?;
+
+    let progress = Progress::new(Mode::of(args.quiet));
+    progress.stage("read");
+    let read = |p: import::ImportProgress| progress.share(p.inputs_done as f32 / p.input_count as f32);
+    let import = import::load(&args.inputs, &ImportOptions::default(), &read).map_err(blame_input)?;
+    for (input, warning) in import.inputs.iter().flat_map(|i| i.warnings.iter().map(move |w| (i, w))) {
+        progress.note(&format!("warning: {}: {warning}", input.path.display()));
+    }
+    progress.stage("repair");
+    let (mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
+        MeshError::BadTolerance { .. } => blame_machine(e),
+        e => blame_input(e),
+    })?;
+    let show = |stage, share| {
+        progress.stage(stage_name(stage));
+        progress.share(share);
+    };
+    let (model, baked) = bake(&mesh, repairs.triangles_in, &args.bake_options(), &show).map_err(|e| match e {
+        BakeError::TooLarge(_) => blame_input(e),
+        e => blame_machine(e),
+    })?;
+    drop(mesh);
+    progress.stage("write");
+    let bytes = write_model(writer, &model).map_err(blame_machine)?;
+
+    let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish());
+    let summary = summary.with_input(&import.inputs, &repairs);
+    match (args.json, args.quiet) {
+        (true, _) => report::print_json(&summary),
+        (false, true) => Ok(()),
+        (false, false) => report::print_text(&summary.text()),
+    }
+}
+
+/// Guards against `pb-bake a.obj b.obj`, where somebody forgot the archive's name.
+fn refuse_own_input(args: &BakeArgs) -> Result<(), Failure> {
+    let output = args.output.as_ref().expect("the command line demands it");
+    let target = std::fs::canonicalize(output).ok();
+    let same = |input: &&std::path::PathBuf| target.is_some() && std::fs::canonicalize(input).ok() == target;
+    if let Some(input) = args.inputs.iter().find(same) {
+        let text = "is an input and the archive to be written; the last argument names the archive";
+        return Err(blame_machine(format!("{}: {text}", input.display())));
+    }
+    let extension = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    if let Some(mesh @ ("obj" | "ply" | "stl" | "gltf" | "glb")) = extension.as_deref() {
+        let text =
+            format!("an archive is not written under the name of a .{mesh} mesh; the last argument names the archive");
+        return Err(blame_machine(format!("{}: {text}", output.display())));
+    }
+    Ok(())
+}
+
+fn stage_name(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Segment => "segment",
+        Stage::Simplify => "simplify",
+        Stage::Measure => "measure",
+        Stage::Pack => "pack",
+    }
+}

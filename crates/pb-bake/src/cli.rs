@@ -1,0 +1,197 @@
+//! The command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES};
+use pb_mesh::normals::{NormalOptions, NormalWeight};
+use pb_mesh::repair::RepairOptions;
+use std::path::PathBuf;
+
+const ABOUT: &str = "Turns triangle meshes into an archive that pb-view streams and draws at any distance";
+const LONG_ABOUT: &str = "\
+Turns triangle meshes into one archive that pb-view streams and draws at any distance, without cracks or pops.
+
+Several inputs make one scene. OBJ (with MTL colours), PLY, STL, glTF and GLB are read; the mesh is repaired where \
+that is safe, cut into clusters, simplified into levels of detail, and packed. The archive appears under its name only \
+when it is complete.";
+const EXAMPLES: &str = "\
+Examples:
+  pb-bake statue.ply statue.pb            bake a scan with the usual five levels
+  pb-bake hull.stl deck.glb ship.pb       several files, one scene
+  pb-bake inspect statue.pb               what is in an archive
+  pb-bake verify statue.pb                check every byte and every promise of an archive
+  pb-bake export statue.pb s.ply --level 2    one level as a mesh for other programs
+
+Exit codes: 0 done, 1 the input or the archive is at fault, 2 the command line or the machine is.";
+
+/// The whole command line.
+#[derive(Parser)]
+#[command(name = "pb-bake", version, about = ABOUT, long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct Cli {
+    /// What to do instead of baking.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// How to bake.
+    #[command(flatten)]
+    pub bake: BakeArgs,
+}
+
+/// What pb-bake does besides baking.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Show what is in an archive: levels, errors, sizes
+    Inspect(InspectArgs),
+    /// Check every checksum and every promise of an archive; exit 1 and the place where one is broken
+    Verify(VerifyArgs),
+    /// Write one level of an archive as a PLY, OBJ or GLB mesh
+    Export(ExportArgs),
+}
+
+/// Arguments of a bake.
+#[derive(Args)]
+pub struct BakeArgs {
+    /// Meshes to bake: OBJ, PLY, STL, glTF or GLB; several make one scene
+    #[arg(required = true, value_name = "INPUT")]
+    pub inputs: Vec<PathBuf>,
+    /// Archive to write, for example statue.pb
+    #[arg(required = true, value_name = "OUT.pb")]
+    pub output: Option<PathBuf>,
+    /// Levels of detail, 1 to 12; level 0 is the input
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=12))]
+    pub levels: u32,
+    /// How many times fewer vertices each level has; 2 gives finer steps and asks for about twice the levels
+    #[arg(long, value_name = "R", default_value_t = 4.0, value_parser = ratio)]
+    pub ratio: f64,
+    /// Triangles per cluster, the unit of streaming and of culling
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_CLUSTER_TRIANGLES, value_parser = cluster_triangles)]
+    pub cluster_triangles: usize,
+    /// Threads to use; all cores unless given. The result is the same whatever their number
+    #[arg(long, value_name = "N", value_parser = threads)]
+    pub threads: Option<usize>,
+    /// Replace an existing file even if it is not an archive
+    #[arg(long)]
+    pub force: bool,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print the summary as one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+    /// Join positions at most this far apart, in units of the model; 0 joins equal ones only
+    #[arg(long, value_name = "T", default_value_t = 0.0, value_parser = tolerance)]
+    pub weld_tolerance: f64,
+    /// Where normals are missing: angle between neighbouring triangles from which on an edge is shown sharp
+    #[arg(long, value_name = "DEG", default_value_t = 180.0, value_parser = crease_angle)]
+    pub crease_angle: f64,
+    /// Where normals are missing: what weighs the triangles around a vertex
+    #[arg(long, value_enum, default_value_t = Normals::Angle)]
+    pub normals: Normals,
+}
+
+/// How missing normals are made.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Normals {
+    /// By the triangle's angle at the vertex
+    Angle,
+    /// By the triangle's area
+    Area,
+}
+
+impl BakeArgs {
+    /// For [`pb_mesh::repair::repair`].
+    pub fn repair_options(&self) -> RepairOptions {
+        let weight = match self.normals {
+            Normals::Angle => NormalWeight::Angle,
+            Normals::Area => NormalWeight::Area,
+        };
+        let normals = NormalOptions { weight, crease_angle_deg: self.crease_angle };
+        RepairOptions { weld_tolerance: self.weld_tolerance, normals, ..RepairOptions::default() }
+    }
+
+    /// For [`pb_lod::progressive_buffers::bake::bake`].
+    pub fn bake_options(&self) -> BakeOptions {
+        BakeOptions { levels: self.levels, ratio: self.ratio, cluster_triangles: self.cluster_triangles }
+    }
+}
+
+/// Arguments of `inspect`.
+#[derive(Args)]
+pub struct InspectArgs {
+    /// Archive to look into
+    #[arg(value_name = "A.pb")]
+    pub archive: PathBuf,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `verify`.
+#[derive(Args)]
+pub struct VerifyArgs {
+    /// Archive to check
+    #[arg(value_name = "A.pb")]
+    pub archive: PathBuf,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Arguments of `export`.
+#[derive(Args)]
+pub struct ExportArgs {
+    /// Archive to read
+    #[arg(value_name = "A.pb")]
+    pub archive: PathBuf,
+    /// Mesh to write; its ending chooses the format: .ply, .obj or .glb
+    #[arg(value_name = "OUT")]
+    pub output: PathBuf,
+    /// Level to write; 0 is the finest
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub level: u32,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+fn ratio(text: &str) -> Result<f64, String> {
+    number(text, 1.2, 64.0)
+}
+
+fn crease_angle(text: &str) -> Result<f64, String> {
+    number(text, 0.0, 180.0)
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    number(text, 0.0, 1e30)
+}
+
+fn cluster_triangles(text: &str) -> Result<usize, String> {
+    number(text, 64.0, 1e6).map(|n| n as usize)
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    number(text, 1.0, 1024.0).map(|n| n as usize)
+}
+
+fn number(text: &str, least: f64, most: f64) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "this is not a number".to_string())?;
+    if (least..=most).contains(&number) { Ok(number) } else { Err(format!("it must be from {least} to {most}")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn the_last_of_several_names_is_the_archive() {
+        let cli = Cli::parse_from(["pb-bake", "a.obj", "b.ply", "out.pb", "--levels", "3"]);
+        assert_eq!(cli.bake.inputs, ["a.obj", "b.ply"].map(PathBuf::from));
+        assert_eq!((cli.bake.output, cli.bake.levels), (Some("out.pb".into()), 3));
+    }
+}
