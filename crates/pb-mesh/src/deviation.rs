@@ -11,14 +11,20 @@
 use crate::topology::Fans;
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::collections::BinaryHeap;
 
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
-/// Subdivisions of an input triangle at most.
-const MAX_DEPTH: u32 = 3;
+/// Subdivisions per cluster and level at most; the bound holds whenever they stop.
+const MAX_SPLITS: usize = 4096;
+/// Spokes of a fan that a line may cross before its bound becomes a crude one.
+const MAX_FAN_STEPS: usize = 8;
+/// Largest distance of a point of a triangle from its nearest corner, in longest edges: below `1 / sqrt(3)`.
+const FARTHEST_FROM_CORNERS: f32 = 0.578;
+/// Distances above this many root mean squares are searched for more thoroughly.
+const LARGE: f32 = 2.0;
 /// A bound this close above the largest distance known is not refined.
-const GOOD_ENOUGH: f32 = 1.05;
+const GOOD_ENOUGH: f32 = 1.1;
 /// No coarse triangle: the component has vanished.
 const NONE: u32 = u32::MAX;
 
@@ -60,37 +66,75 @@ struct Mapped {
     triangle: u32,
 }
 
+/// The nearest point so far of a walk, and the corners of its triangle that it hangs on, as bits.
+struct Nearest {
+    at: Vec3,
+    image: Vec3,
+    square: f32,
+    triangle: u32,
+    corners: u8,
+}
+
 /// Measures one level. `clusters` is the number of clusters.
 pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     let fans = Fans::new(pair.positions.len(), pair.coarse);
-    let field = Field { pair, fans: &fans };
-    let nearest: Vec<(f32, u32)> =
+    let bends = bends(pair, &fans);
+    let field = Field { pair, fans: &fans, bends: &bends };
+    let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
-    let max: Vec<AtomicU32> = (0..clusters).map(|_| AtomicU32::new(0)).collect();
-    let raise = |c: u32, d: f32| max[c as usize].fetch_max(d.to_bits(), Ordering::Relaxed);
-    pair.triangles.par_iter().zip(pair.cluster_of).for_each(|(t, &c)| {
-        let d = t.iter().map(|&v| nearest[v as usize].0.max(field.border_distance(v))).fold(0.0, f32::max);
-        if d > 0.0 {
-            raise(c, d);
-            for &v in t {
-                if nearest[v as usize].1 != NONE {
-                    raise(pair.coarse_cluster_of[nearest[v as usize].1 as usize], d);
+    let (sum, area) = squares(pair, &nearest);
+    let large = (sum / area.max(f64::MIN_POSITIVE)).sqrt() as f32 * LARGE;
+    nearest.par_iter_mut().enumerate().filter(|(_, n)| n.0 > large && n.1 != NONE).for_each(|(v, n)| {
+        let image = closest_on_triangle(Vec3::ZERO, field.corners(v as u32, n.1));
+        let from = Mapped { at: Vec3::ZERO, image, distance: n.0, triangle: n.1 };
+        let better = field.walk_on(v as u32, from);
+        *n = (better.distance, better.triangle);
+    });
+    let jobs = jobs(pair, &nearest, clusters);
+    let max = jobs.par_iter().map(|list| field.cluster_bound(list, &nearest)).collect();
+    Deviation { max, squares: squares(pair, &nearest) }
+}
+
+/// The input triangles that each cluster's bound covers: its own, and those of others that map onto it.
+fn jobs(pair: &LevelPair, nearest: &[(f32, u32)], clusters: usize) -> Vec<Vec<u32>> {
+    let mut list = vec![Vec::new(); clusters];
+    for (i, (t, &own)) in pair.triangles.iter().zip(pair.cluster_of).enumerate() {
+        list[own as usize].push(i as u32);
+        for &v in t {
+            let (distance, on) = nearest[v as usize];
+            if distance > 0.0 && on != NONE {
+                let other = pair.coarse_cluster_of[on as usize];
+                if other != own && list[other as usize].last() != Some(&(i as u32)) {
+                    list[other as usize].push(i as u32);
                 }
             }
         }
-    });
-    let floor: Vec<f32> = max.iter().map(|m| f32::from_bits(m.load(Ordering::Relaxed))).collect();
-    pair.triangles.par_iter().zip(pair.cluster_of).for_each(|(t, &c)| {
-        let bound = field.triangle_bound(*t, &nearest, floor[c as usize]);
-        if bound > floor[c as usize] {
-            raise(c, bound);
-            t.iter().filter(|&&v| nearest[v as usize].1 != NONE).for_each(|&v| {
-                raise(pair.coarse_cluster_of[nearest[v as usize].1 as usize], bound);
-            });
+    }
+    list
+}
+
+/// How steeply the fan of each coarse vertex leaves any of its own triangles: the tangent of the largest angle between
+/// normals of the fan; infinite from a right angle on.
+fn bends(pair: &LevelPair, fans: &Fans) -> Vec<f32> {
+    let normal = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| relative(pair.positions, t[0], v));
+        (b - a).cross(c - a).try_normalize()
+    };
+    let normals: Vec<Option<Vec3>> = pair.coarse.par_iter().map(normal).collect();
+    let of = |v: u32| {
+        let around = fans.around(v);
+        let mut least = 1f32;
+        for (i, &s) in around.iter().enumerate() {
+            for &t in &around[..i] {
+                least = match (normals[s as usize], normals[t as usize]) {
+                    (Some(n), Some(m)) => least.min(n.dot(m)),
+                    _ => 0.0,
+                };
+            }
         }
-    });
-    let squares = squares(pair, &nearest);
-    Deviation { max: max.into_iter().map(|m| f32::from_bits(m.into_inner())).collect(), squares }
+        if least > 1e-3 { (1.0 - least * least).max(0.0).sqrt() / least } else { f32::INFINITY }
+    };
+    (0..pair.positions.len() as u32).into_par_iter().map(of).collect()
 }
 
 /// Fixed blocks keep the order of the sums the same on any number of threads.
@@ -111,16 +155,19 @@ fn squares(pair: &LevelPair, nearest: &[(f32, u32)]) -> (f64, f64) {
     parts.into_iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1))
 }
 
-/// Position of `v` relative to position `origin`, quanta: the difference is exact before it is rounded.
+/// Position of `v` relative to position `origin`, quanta: the difference is exact before it is rounded. The grid spans
+/// less than 2^31 quanta, so it does not overflow.
 fn relative(positions: &[[i32; 3]], origin: u32, v: u32) -> Vec3 {
     let (o, p) = (positions[origin as usize], positions[v as usize]);
-    Vec3::from_array(std::array::from_fn(|k| (i64::from(p[k]) - i64::from(o[k])) as f32))
+    Vec3::new((p[0] - o[0]) as f32, (p[1] - o[1]) as f32, (p[2] - o[2]) as f32)
 }
 
 /// Nearest points on a level, searched locally.
 struct Field<'a> {
     pair: &'a LevelPair<'a>,
     fans: &'a Fans,
+    /// See [`bends`].
+    bends: &'a [f32],
 }
 
 impl Field<'_> {
@@ -134,44 +181,55 @@ impl Field<'_> {
             [] => (relative(self.pair.positions, v, a).length(), NONE),
             around if a == v => (0.0, around[0]),
             around => {
-                let m = self.walk(v, Vec3::ZERO, around);
+                let m = self.walk(v, Vec3::ZERO, around, a);
                 (m.distance, m.triangle)
             }
         }
     }
 
-    /// Walks from `start` triangles to the one nearest to `at`, which is relative to position `origin`.
-    fn walk(&self, origin: u32, at: Vec3, start: &[u32]) -> Mapped {
-        let mut best = Mapped { at, image: at, distance: f32::INFINITY, triangle: NONE };
-        let mut around = start;
-        let mut seen = [NONE; 3 * MAX_WALK];
-        let mut seen_count = 0;
-        self.improve(origin, around, &mut best);
-        for _ in 0..MAX_WALK {
-            let from = best.triangle;
-            for v in self.pair.coarse[from as usize] {
-                if seen[..seen_count].contains(&v) || seen_count == seen.len() {
-                    continue;
-                }
-                seen[seen_count] = v;
-                seen_count += 1;
-                around = self.fans.around(v);
-                self.improve(origin, around, &mut best);
+    /// Walks from `start` triangles downhill to the nearest point of the surface. `at` is relative to position
+    /// `origin`. Done where the nearest point lies inside a triangle, or on a vertex or edge all of whose triangles
+    /// were looked at. `center` is the vertex whose fan `start` is, if it is one.
+    fn walk(&self, origin: u32, at: Vec3, start: &[u32], center: u32) -> Mapped {
+        let mut best = Nearest { at, image: at, square: f32::INFINITY, triangle: NONE, corners: 0 };
+        let mut seen = [center; MAX_WALK + 1];
+        self.improve(origin, start, &mut best);
+        for step in 0..MAX_WALK {
+            let t = self.pair.coarse[best.triangle as usize];
+            let mut touched = (0..3).filter(|k| best.corners >> k & 1 != 0).map(|k| t[k]);
+            if best.corners == 7 || touched.clone().any(|v| seen.contains(&v)) {
+                break;
             }
-            if best.triangle == from {
+            let v = touched.next().expect("a nearest point lies on some corner, edge or face");
+            seen[step + 1] = v;
+            self.improve(origin, self.fans.around(v), &mut best);
+        }
+        Mapped { at, image: best.image, distance: best.square.sqrt(), triangle: best.triangle }
+    }
+
+    /// The same from `best`, but done only when no triangle around the current one is nearer: slower, and rarely
+    /// held up by a fold.
+    fn walk_on(&self, origin: u32, from: Mapped) -> Mapped {
+        let square = from.distance * from.distance;
+        let mut best = Nearest { at: from.at, image: from.image, square, triangle: from.triangle, corners: 7 };
+        for _ in 0..MAX_WALK {
+            let now = best.triangle;
+            for v in self.pair.coarse[now as usize] {
+                self.improve(origin, self.fans.around(v), &mut best);
+            }
+            if best.triangle == now {
                 break;
             }
         }
-        best
+        Mapped { at: best.at, image: best.image, distance: best.square.min(square).sqrt(), triangle: best.triangle }
     }
 
-    fn improve(&self, origin: u32, triangles: &[u32], best: &mut Mapped) {
+    fn improve(&self, origin: u32, triangles: &[u32], best: &mut Nearest) {
         for &t in triangles {
-            let p = self.corners(origin, t);
-            let q = closest_on_triangle(best.at, p);
-            let d = q.distance(best.at);
-            if d < best.distance {
-                *best = Mapped { at: best.at, image: q, distance: d, triangle: t };
+            let (q, corners) = closest_feature(best.at, self.corners(origin, t));
+            let square = q.distance_squared(best.at);
+            if square < best.square {
+                *best = Nearest { at: best.at, image: q, square, triangle: t, corners };
             }
         }
     }
@@ -202,19 +260,73 @@ impl Field<'_> {
         if best.is_finite() { best } else { from.length() }
     }
 
-    /// Bound over a whole input triangle; exact enough once it is no more than `floor`.
-    fn triangle_bound(&self, t: [u32; 3], nearest: &[(f32, u32)], floor: f32) -> f32 {
+    /// Bound over the input triangles `list`: branch and bound, the part with the largest bound first.
+    fn cluster_bound(&self, list: &[u32], nearest: &[(f32, u32)]) -> f32 {
+        let mut floor = 0f32;
+        for &t in list {
+            for v in self.pair.triangles[t as usize] {
+                floor = floor.max(nearest[v as usize].0).max(self.border_distance(v));
+            }
+        }
+        let mut parts: BinaryHeap<Part> = list
+            .iter()
+            .filter_map(|&t| self.whole(self.pair.triangles[t as usize], nearest, floor * GOOD_ENOUGH))
+            .filter(|part| part.bound > floor * GOOD_ENOUGH)
+            .collect();
+        for _ in 0..MAX_SPLITS {
+            match parts.pop() {
+                Some(part) if part.bound > floor * GOOD_ENOUGH => {
+                    for piece in self.split(&part) {
+                        floor = piece.corners.iter().map(|c| c.distance).fold(floor, f32::max);
+                        if piece.bound > floor * GOOD_ENOUGH {
+                            parts.push(piece);
+                        }
+                    }
+                }
+                top => return top.map_or(floor, |part| part.bound.max(floor)).max(floor * GOOD_ENOUGH),
+            }
+        }
+        parts.pop().map_or(floor, |part| part.bound.max(floor)).max(floor * GOOD_ENOUGH)
+    }
+
+    /// An input triangle whose corners land on several coarse triangles, if its bound can be above `floor`.
+    fn whole(&self, t: [u32; 3], nearest: &[(f32, u32)], floor: f32) -> Option<Part> {
         let images = t.map(|v| nearest[v as usize]);
-        let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
         if images.iter().any(|i| i.1 == NONE) || self.common_triangle(t, images.map(|i| i.1)) {
-            return most;
+            return None;
+        }
+        let at: [Vec3; 3] = std::array::from_fn(|k| relative(self.pair.positions, t[0], t[k]));
+        let longest = (0..3).map(|k| at[k].distance_squared(at[(k + 1) % 3])).fold(0.0, f32::max).sqrt();
+        let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
+        // Images are no further apart than the points and twice the distance; in a fan the surface between them
+        // leaves the straight line no more steeply than the fan bends.
+        let apart = (longest + 2.0 * most) * FARTHEST_FROM_CORNERS;
+        let [on, others @ ..] = images.map(|i| self.pair.coarse[i.1 as usize]);
+        let bend = on.into_iter().filter(|v| others.iter().all(|o| o.contains(v))).map(|v| self.bends[v as usize]);
+        if most + apart * bend.fold(1.0, f32::min) <= floor {
+            return None;
         }
         let corners = std::array::from_fn(|k| {
-            let at = relative(self.pair.positions, t[0], t[k]);
+            let at = at[k];
             let image = closest_on_triangle(at, self.corners(t[0], images[k].1));
             Mapped { at, image, distance: images[k].0, triangle: images[k].1 }
         });
-        self.refine(t[0], corners, floor, 0)
+        Some(self.part(t[0], corners))
+    }
+
+    fn part(&self, origin: u32, corners: [Mapped; 3]) -> Part {
+        let most = corners.iter().map(|c| c.distance).fold(0.0, f32::max);
+        Part { bound: most + self.sag(origin, &corners), origin, corners }
+    }
+
+    fn split(&self, part: &Part) -> [Part; 4] {
+        let [a, b, c] = part.corners;
+        let middle = |p: &Mapped, q: &Mapped| {
+            let quick = self.walk(part.origin, (p.at + q.at) * 0.5, &[p.triangle, q.triangle], NONE);
+            self.walk_on(part.origin, quick)
+        };
+        let (ab, bc, ca) = (middle(&a, &b), middle(&b, &c), middle(&c, &a));
+        [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]].map(|corners| self.part(part.origin, corners))
     }
 
     /// Do all corners land on one triangle? A survivor lies on every triangle around it.
@@ -225,21 +337,6 @@ impl Field<'_> {
             };
             (0..3).all(holds)
         })
-    }
-
-    fn refine(&self, origin: u32, corners: [Mapped; 3], floor: f32, depth: u32) -> f32 {
-        let most = corners.iter().map(|c| c.distance).fold(0.0, f32::max);
-        let bound = most + self.sag(origin, &corners);
-        if bound <= floor * GOOD_ENOUGH || depth == MAX_DEPTH || bound <= most * GOOD_ENOUGH {
-            return bound;
-        }
-        let [a, b, c] = corners;
-        let middle = |p: &Mapped, q: &Mapped| self.walk(origin, (p.at + q.at) * 0.5, &[p.triangle, q.triangle]);
-        let (ab, bc, ca) = (middle(&a, &b), middle(&b, &c), middle(&c, &a));
-        [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-            .into_iter()
-            .map(|part| self.refine(origin, part, floor, depth + 1))
-            .fold(0.0, f32::max)
     }
 
     /// How far the straight image of a triangle leaves the coarse surface.
@@ -265,49 +362,120 @@ impl Field<'_> {
         most
     }
 
+    /// How far the straight line between two images leaves the surface: its distance from the edges it crosses.
     fn edge_sag(&self, origin: u32, p: &Mapped, q: &Mapped) -> f32 {
+        // No point of a short triangle is further from its corners than this, nor is one of its image.
+        let crude = p.image.distance(q.image).max(p.at.distance(q.at)) * FARTHEST_FROM_CORNERS;
         let (s, t) = (self.pair.coarse[p.triangle as usize], self.pair.coarse[q.triangle as usize]);
-        let mut common = s.into_iter().filter(|v| t.contains(v)).map(|v| relative(self.pair.positions, origin, v));
-        match (common.next(), common.next()) {
-            (Some(a), Some(b)) => segment_distance(p.image, q.image, a, b),
-            (Some(a), None) => closest_on_segment(a, p.image, q.image).distance(a),
-            _ => p.image.distance(q.image) * 0.5,
+        let mut common = s.into_iter().filter(|v| t.contains(v));
+        let sag = match (common.next(), common.next()) {
+            (Some(a), Some(b)) => {
+                let [a, b] = [a, b].map(|v| relative(self.pair.positions, origin, v));
+                segment_distance(p.image, q.image, a, b)
+            }
+            (Some(v), None) => self.fan_sag(origin, p, q, v),
+            _ => f32::INFINITY,
+        };
+        sag.min(crude)
+    }
+
+    /// The same when the line stays in the fan of coarse vertex `v`: the largest distance from the spokes between the
+    /// two triangles, on the better side around.
+    fn fan_sag(&self, origin: u32, p: &Mapped, q: &Mapped, v: u32) -> f32 {
+        let center = relative(self.pair.positions, origin, v);
+        let around = self.fans.around(v);
+        let mut best = f32::INFINITY;
+        for side in 1..3 {
+            let (mut at, mut most, mut forward) = (p.triangle, 0f32, side);
+            for _ in 0..MAX_FAN_STEPS {
+                let t = self.pair.coarse[at as usize];
+                let k = t.iter().position(|&x| x == v).expect("triangles of the fan hold its centre");
+                let spoke = t[(k + forward) % 3];
+                let end = relative(self.pair.positions, origin, spoke);
+                most = most.max(segment_distance(p.image, q.image, center, end));
+                let Some(&next) = around.iter().find(|&&o| o != at && self.pair.coarse[o as usize].contains(&spoke))
+                else {
+                    break;
+                };
+                if next == q.triangle {
+                    best = best.min(most);
+                    break;
+                }
+                let n = self.pair.coarse[next as usize];
+                let nk = n.iter().position(|&x| x == v).expect("the same");
+                forward = if n[(nk + 1) % 3] == spoke { 2 } else { 1 };
+                at = next;
+            }
         }
+        best
     }
 }
 
-/// Point of triangle `t` nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5).
-pub fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
+/// A part of an input triangle, its images and a bound of its distance, ordered by the bound.
+struct Part {
+    bound: f32,
+    origin: u32,
+    corners: [Mapped; 3],
+}
+
+impl PartialEq for Part {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Part {}
+
+impl PartialOrd for Part {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Part {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.bound.total_cmp(&other.bound)
+    }
+}
+
+/// Point of triangle `t` nearest to `p`.
+fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
+    closest_feature(p, t).0
+}
+
+/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits (Ericson, Real-Time Collision
+/// Detection, 5.1.5).
+fn closest_feature(p: Vec3, t: [Vec3; 3]) -> (Vec3, u8) {
     let [a, b, c] = t;
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
     if d1 <= 0.0 && d2 <= 0.0 {
-        return a;
+        return (a, 1);
     }
     let bp = p - b;
     let (d3, d4) = (ab.dot(bp), ac.dot(bp));
     if d3 >= 0.0 && d4 <= d3 {
-        return b;
+        return (b, 2);
     }
     let vc = d1 * d4 - d3 * d2;
     if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return a + ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE));
+        return (a + ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE)), 3);
     }
     let cp = p - c;
     let (d5, d6) = (ab.dot(cp), ac.dot(cp));
     if d6 >= 0.0 && d5 <= d6 {
-        return c;
+        return (c, 4);
     }
     let vb = d5 * d2 - d1 * d6;
     if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return a + ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE));
+        return (a + ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE)), 5);
     }
     let va = d3 * d6 - d5 * d4;
     if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE));
+        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE)), 6);
     }
     let denominator = 1.0 / (va + vb + vc);
-    a + ab * (vb * denominator) + ac * (vc * denominator)
+    (a + ab * (vb * denominator) + ac * (vc * denominator), 7)
 }
 
 fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {

@@ -9,7 +9,7 @@
 mod buffers;
 mod grid;
 
-use super::hierarchy::{self, Hierarchy};
+use super::hierarchy;
 use super::layout::*;
 use super::model::FLAG_COLORS;
 use super::write::{BakedModel, EncodedChunk};
@@ -350,6 +350,8 @@ fn assemble(
         level_records.extend(records);
         chunks.extend(packed);
     }
+    let coarsest: Vec<f32> = (0..count).map(|new| level_records[new * levels + levels - 1].error).collect();
+    hierarchy.set_errors(&coarsest);
     let record = |new: usize| {
         let b = &bounds[hierarchy.order[new] as usize];
         ClusterRecord {
@@ -362,15 +364,13 @@ fn assemble(
             reserved: [0; 2],
         }
     };
-    let coarsest: Vec<f32> = (0..count).map(|new| level_records[new * levels + levels - 1].error).collect();
-    hierarchy.set_errors(&coarsest);
     let (model_levels, acmr) = model_levels(&level_records, collapses, errors, levels);
     let model = BakedModel {
         record: model_record(mesh, triangles_in, grid, &bounds, levels),
         clusters: (0..count).map(record).collect(),
         levels: level_records,
         neighbours,
-        nodes: std::mem::take(&mut (hierarchy as Hierarchy).nodes),
+        nodes: hierarchy.nodes.clone(),
         model_levels,
         chunks,
     };
