@@ -171,3 +171,29 @@ impl Decoded {
         displayed_surface(&drawn, tables, &self.eye(eye))
     }
 }
+
+/// A binary PLY as tools/measure writes it: three f32 per vertex, triangles only.
+pub fn read_generated_ply(path: &Path) -> Soup {
+    let bytes = std::fs::read(path).expect("a fixture of this repository");
+    let marker = b"end_header\n";
+    let body = bytes.windows(marker.len()).position(|w| w == marker).expect("a PLY header") + marker.len();
+    let header = String::from_utf8_lossy(&bytes[..body]).into_owned();
+    let count = |element: &str| -> usize {
+        let line = header.lines().find_map(|l| l.strip_prefix(&format!("element {element} ")));
+        line.and_then(|n| n.parse().ok()).expect("an element count")
+    };
+    let (vertices, faces) = bytes[body..].split_at(count("vertex") * 12);
+    let word = |w: &[u8]| -> [u8; 4] { w.try_into().expect("four bytes") };
+    let triple = |t: &[u8]| -> [[u8; 4]; 3] { std::array::from_fn(|k| word(&t[k * 4..k * 4 + 4])) };
+    assert_eq!(faces.len(), count("face") * 13);
+    Soup {
+        positions: vertices.chunks_exact(12).map(|v| triple(v).map(|w| f32::from_le_bytes(w) as f64)).collect(),
+        triangles: faces.chunks_exact(13).map(|f| triple(&f[1..]).map(u32::from_le_bytes)).collect(),
+        ..Soup::default()
+    }
+}
+
+/// A mesh of data-fixtures/.
+pub fn small_fixture(name: &str) -> Soup {
+    read_generated_ply(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data-fixtures").join(name))
+}
