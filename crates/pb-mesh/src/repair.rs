@@ -15,6 +15,13 @@ use rayon::prelude::*;
 pub const MAX_COORDINATE: f64 = 1e30;
 /// Most triangles of one mesh: three corner indices each fit into 31 bits.
 pub const MAX_TRIANGLE_COUNT: usize = (1 << 31) / 3;
+/// Meshes with fewer triangles may be meant to look facetted.
+const MIN_FACETTED_TRIANGLES: usize = 1000;
+/// Made normals that replace facet normals keep edges that are sharper (degrees).
+const FACET_CREASE_ANGLE_DEG: f64 = 45.0;
+/// Share of the corners that must have the normal of their facet, and how well it must fit: to within half a degree.
+const FACETTED_SHARE: f64 = 0.95;
+const FACETTED_COSINE: f64 = 0.999_96;
 
 /// What [`repair`] may be told.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,9 +37,11 @@ pub struct RepairOptions {
 /// Whether the normals of the input are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum InputNormals {
-    /// Where they are there and sound.
+    /// Where they are there and sound; facet normals of a large mesh are replaced, see [`has_facet_normals`].
     #[default]
     Use,
+    /// Where they are there and sound, also facet normals.
+    Keep,
     /// Never: all normals are made.
     Ignore,
 }
@@ -60,6 +69,8 @@ pub struct RepairReport {
     pub normals_made: u64,
     /// Wedges that got a normal because the input's is not a finite number.
     pub normals_repaired: u64,
+    /// Whether all normals were made because those of the input were only those of the facets.
+    pub facet_normals_replaced: bool,
     /// Borders and non-manifold places of the result.
     pub topology: Topology,
 }
@@ -134,6 +145,12 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         let RepairReport { triangles_in, degenerate_removed: degenerate, .. } = report;
         return Err(MeshError::NoTriangles { triangles_in, degenerate });
     }
+    let mut normal_options = options.normals;
+    if options.input_normals == InputNormals::Use && has_facet_normals(&positions, &triangles, &records, &normals) {
+        normals = Vec::new();
+        normal_options.crease_angle_deg = normal_options.crease_angle_deg.min(FACET_CREASE_ANGLE_DEG);
+        report.facet_normals_replaced = true;
+    }
     if normals.is_empty() && colors.is_empty() {
         records = Vec::new();
     }
@@ -148,7 +165,7 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         normals: &normals,
         colors: &colors,
     };
-    let made = wedges(&surface, &options.normals);
+    let made = wedges(&surface, &normal_options);
     report.normals_made = made.normals_made;
     report.normals_repaired = made.normals_repaired;
     let mesh = Mesh { wedges: made.wedges, triangles: made.triangles, has_colors: !colors.is_empty(), positions };
@@ -245,13 +262,45 @@ fn remove_duplicates(
     Corners::new(triangles, position_count)
 }
 
+/// Whether nearly all normals of a large mesh are only those of the facets: they say nothing that the positions do
+/// not, and would take a curved surface apart into single triangles.
+fn has_facet_normals(
+    positions: &[[f64; 3]],
+    triangles: &[[u32; 3]],
+    records: &[[u32; 3]],
+    normals: &[[f32; 3]],
+) -> bool {
+    if normals.is_empty() || triangles.len() < MIN_FACETTED_TRIANGLES {
+        return false;
+    }
+    let fits = |cross: [f64; 3], record: u32| {
+        let n = normals[record as usize].map(f64::from);
+        dot(cross, n) >= FACETTED_COSINE * (dot(cross, cross) * dot(n, n)).sqrt()
+    };
+    let corners = |(t, r): (&[u32; 3], &[u32; 3])| {
+        let (_, _, cross) = spans(t.map(|v| positions[v as usize]));
+        r.iter().filter(|&&record| fits(cross, record)).count()
+    };
+    let facetted: usize = triangles.par_iter().zip(records).map(corners).sum();
+    facetted as f64 >= FACETTED_SHARE * 3.0 * triangles.len() as f64
+}
+
 /// Whether three positions are on one line, to within the rounding of doubles.
-fn is_flat([a, b, c]: [[f64; 3]; 3]) -> bool {
+fn is_flat(corners: [[f64; 3]; 3]) -> bool {
+    let (u, v, cross) = spans(corners);
+    dot(cross, cross) <= 1e-24 * dot(u, u) * dot(v, v)
+}
+
+/// Two edges of a triangle from its first corner, and their cross product.
+fn spans([a, b, c]: [[f64; 3]; 3]) -> ([f64; 3], [f64; 3], [f64; 3]) {
     let u: [f64; 3] = std::array::from_fn(|k| b[k] - a[k]);
     let v: [f64; 3] = std::array::from_fn(|k| c[k] - a[k]);
-    let cross: [f64; 3] = std::array::from_fn(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]);
-    let square = |x: [f64; 3]| x.iter().map(|x| x * x).sum::<f64>();
-    square(cross) <= 1e-24 * square(u) * square(v)
+    let cross = std::array::from_fn(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]);
+    (u, v, cross)
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]

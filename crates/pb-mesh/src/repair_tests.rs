@@ -159,6 +159,28 @@ fn torus(n: u32) -> Soup {
     Soup { positions, triangles, ..Soup::default() }
 }
 
+/// The same surface with the normal of each triangle at its corners.
+fn facetted(soup: &Soup) -> Soup {
+    let mut soup = exploded(soup);
+    for t in soup.triangles.clone() {
+        let (_, _, cross) = spans(t.map(|i| soup.positions[i as usize]));
+        soup.normals.extend([cross.map(|x| x as f32); 3]);
+    }
+    soup
+}
+
+#[test]
+fn facet_normals_of_a_curved_surface_are_replaced_by_smooth_ones() {
+    let (mesh, report) = repaired(facetted(&torus(60)));
+    assert!(report.facet_normals_replaced);
+    assert_eq!(mesh.wedges.len(), mesh.positions.len());
+    let keep = RepairOptions { input_normals: InputNormals::Keep, ..RepairOptions::default() };
+    let (kept, report) = repair(facetted(&torus(60)), &keep).unwrap();
+    assert!(!report.facet_normals_replaced && kept.wedges.len() > 5 * kept.positions.len());
+    let (small, _) = repaired(facetted(&torus(10)));
+    assert!(small.wedges.len() > 5 * small.positions.len(), "a small mesh may be meant so");
+}
+
 #[test]
 fn one_and_many_threads_make_the_same_mesh() {
     let mut soup = exploded(&torus(150));

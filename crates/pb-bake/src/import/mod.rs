@@ -1,0 +1,241 @@
+//! From files to one [`Soup`]: OBJ, PLY, STL, glTF and GLB.
+//!
+//! Every reader takes bytes that may be hostile: counts are checked against the bytes that are there before anything
+//! is allocated, indices before anything is read, and a panic inside a parser of somebody else becomes an error that
+//! names the file. No reader repairs a mesh ([`pb_mesh::repair`]) or reads textures.
+
+mod error;
+mod gltf;
+mod obj;
+mod obj_lines;
+mod ply;
+mod source;
+mod stl;
+
+pub use error::{ImportError, Refusal};
+
+use error::{damaged, refused};
+use pb_mesh::mesh::Soup;
+use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
+use source::Source;
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Once;
+
+/// Most different warnings that are kept per input.
+const MAX_WARNING_COUNT: usize = 20;
+
+/// Said once per input that has textures.
+const TEXTURE_WARNING: &str = "textures are not baked yet: vertex and material colours only";
+
+/// The kinds of model that can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Wavefront OBJ, with the colours of its MTL.
+    Obj,
+    /// Stanford PLY: ascii, binary little and big endian.
+    Ply,
+    /// STL: ascii and binary.
+    Stl,
+    /// glTF 2.0 and its binary form, GLB.
+    Gltf,
+}
+
+/// Limits of an import.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImportOptions {
+    /// Most triangles of all inputs together, after instances are expanded.
+    pub max_triangles: usize,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        ImportOptions { max_triangles: MAX_TRIANGLE_COUNT }
+    }
+}
+
+/// How far an import is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImportProgress {
+    /// Inputs that are done.
+    pub inputs_done: usize,
+    /// Inputs in all.
+    pub input_count: usize,
+    /// Bytes of the inputs that are done.
+    pub bytes_done: u64,
+}
+
+/// What one input contributed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputReport {
+    /// As given.
+    pub path: PathBuf,
+    /// By its content.
+    pub format: Format,
+    /// Of the file itself, without those that it refers to.
+    pub bytes: u64,
+    /// Triangles, polygons cut.
+    pub triangles: usize,
+    /// Records, before any weld.
+    pub vertices: usize,
+    /// What was odd but no reason to refuse it.
+    pub warnings: Vec<String>,
+}
+
+/// All inputs as one scene.
+#[derive(Clone, Debug, Default)]
+pub struct Import {
+    /// The inputs one after the other.
+    pub soup: Soup,
+    /// In the order of the inputs.
+    pub inputs: Vec<InputReport>,
+}
+
+/// Reads all inputs into one scene. Calls `progress` before the first and after each.
+///
+/// # Errors
+/// The first input that cannot be read, in the order given.
+pub fn load(
+    paths: &[PathBuf],
+    options: &ImportOptions,
+    progress: &dyn Fn(ImportProgress),
+) -> Result<Import, ImportError> {
+    let mut scene = Import::default();
+    let mut bytes_done = 0;
+    let report =
+        |inputs_done, bytes_done| progress(ImportProgress { inputs_done, input_count: paths.len(), bytes_done });
+    report(0, 0);
+    for (i, path) in paths.iter().enumerate() {
+        let name = path.display().to_string();
+        let source = Source::open(path)?;
+        let bytes = source.bytes();
+        let format = source::sniff(&name, bytes)?;
+        let base = path.parent().map(|p| if p.as_os_str().is_empty() { Path::new(".") } else { p });
+        let max_triangles = options.max_triangles.saturating_sub(scene.soup.triangles.len());
+        let input = Input { name: &name, bytes, base, max_triangles };
+        let (soup, warnings) = read(format, &input)?;
+        if scene.soup.positions.len() + soup.positions.len() >= u32::MAX as usize {
+            return Err(too_many(&name, options.max_triangles));
+        }
+        bytes_done += bytes.len() as u64;
+        scene.inputs.push(InputReport {
+            path: path.clone(),
+            format,
+            bytes: bytes.len() as u64,
+            triangles: soup.triangles.len(),
+            vertices: soup.positions.len(),
+            warnings,
+        });
+        scene.soup.append(soup);
+        report(i + 1, bytes_done);
+    }
+    Ok(scene)
+}
+
+/// Reads one model from memory, and what was odd about it. Files that it refers to are looked for in `base`; without
+/// one, they count as missing.
+///
+/// # Errors
+/// See [`ImportError`]; messages call the input "input".
+pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(Soup, Vec<String>), ImportError> {
+    read(format, &Input { name: "input", bytes, base, max_triangles: ImportOptions::default().max_triangles })
+}
+
+/// One input, as all readers take it.
+struct Input<'a> {
+    /// For messages.
+    name: &'a str,
+    bytes: &'a [u8],
+    /// Where files that it refers to are.
+    base: Option<&'a Path>,
+    max_triangles: usize,
+}
+
+fn read(format: Format, input: &Input) -> Result<(Soup, Vec<String>), ImportError> {
+    let mut warnings = Warnings::default();
+    let soup = match format {
+        Format::Obj => obj::read(input, &mut warnings),
+        Format::Ply => ply::read(input, &mut warnings),
+        Format::Stl => stl::read(input, &mut warnings),
+        Format::Gltf => gltf::read(input, &mut warnings),
+    }?;
+    if soup.triangles.len() > input.max_triangles {
+        return Err(too_many(input.name, input.max_triangles));
+    }
+    if soup.triangles.is_empty() {
+        let what = "there are no faces in it";
+        return Err(refused(Refusal::NoFaces, input.name, what, "points and lines cannot be baked: export a mesh"));
+    }
+    if let Some(i) = first_bad_position(&soup.positions) {
+        let [x, y, z] = soup.positions[i];
+        let what = format!("vertex {i} (counted from 0) has the position ({x}, {y}, {z}), which is no usable place");
+        return Err(refused(Refusal::NotFinite, input.name, what, "remove the vertex or export the model again"));
+    }
+    Ok((soup, warnings.into_list()))
+}
+
+fn too_many(name: &str, limit: usize) -> ImportError {
+    let what = format!("the scene has more than {limit} triangles once this input is expanded");
+    refused(Refusal::TooLarge, name, what, "bake it in several parts")
+}
+
+/// Different warnings in order of appearance, so many times each.
+#[derive(Default)]
+struct Warnings {
+    list: Vec<(String, u64)>,
+    more: u64,
+}
+
+impl Warnings {
+    /// Notes something odd; the same text is kept once and counted.
+    fn add(&mut self, text: impl AsRef<str>) {
+        let text = text.as_ref();
+        if let Some(known) = self.list.iter_mut().find(|w| w.0 == text) {
+            known.1 += 1;
+        } else if self.list.len() < MAX_WARNING_COUNT {
+            self.list.push((text.to_owned(), 1));
+        } else {
+            self.more += 1;
+        }
+    }
+
+    /// Takes over those of another list.
+    fn append(&mut self, other: Warnings) {
+        for (text, count) in other.list {
+            match self.list.iter_mut().find(|w| w.0 == text) {
+                Some(known) => known.1 += count,
+                None => self.list.push((text, count)),
+            }
+        }
+        self.more += other.more;
+    }
+
+    fn into_list(self) -> Vec<String> {
+        let counted = |(text, count): (String, u64)| if count > 1 { format!("{text} ({count} times)") } else { text };
+        let more = (self.more > 0).then(|| format!("and {} more warnings", self.more));
+        self.list.into_iter().map(counted).chain(more).collect()
+    }
+}
+
+thread_local! {
+    /// Whether a panic on this thread is expected and must not print anything.
+    static QUIET: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Runs a parser of somebody else; a panic in it becomes an error that names the file.
+fn guarded<T>(name: &str, parse: impl FnOnce() -> T) -> Result<T, ImportError> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if !QUIET.get() {
+                usual(info);
+            }
+        }));
+    });
+    let before = QUIET.replace(true);
+    let result = catch_unwind(AssertUnwindSafe(parse));
+    QUIET.set(before);
+    result.map_err(|_| damaged(name, "its content is so damaged that the parser gave up"))
+}

@@ -1,0 +1,149 @@
+//! PLY (Turk, "The PLY Polygon File Format", 1994): ascii, binary little and big endian.
+//!
+//! Own reader, see docs/decisions/001-own-ply-reader.md. Counts in the header are compared with the bytes behind it
+//! before anything is allocated. Elements and properties that are not needed are skipped.
+
+mod body;
+mod header;
+mod scalar;
+
+use super::error::{ImportError, Refusal, damaged, refused};
+use super::{Input, TEXTURE_WARNING, Warnings};
+use body::{Body, Faces, Rows};
+use header::Element;
+use pb_mesh::mesh::Soup;
+use rayon::prelude::*;
+
+/// Rows per parallel job.
+const CHUNK: usize = 1 << 15;
+/// Names under which the parts of a colour are found.
+const COLORS: [&[&str]; 4] = [
+    &["red", "diffuse_red", "r"],
+    &["green", "diffuse_green", "g"],
+    &["blue", "diffuse_blue", "b"],
+    &["alpha", "diffuse_alpha", "a"],
+];
+
+/// Reads a PLY file.
+pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Soup, ImportError> {
+    let header = header::parse(input, warnings)?;
+    let mut soup = Soup::default();
+    let mut body = Body::new(input, &header);
+    let mut faces = Vec::new();
+    let mut seen_vertices = false;
+    for element in &header.elements {
+        body.check_room(element)?;
+        match element.name.as_str() {
+            "vertex" if !seen_vertices => {
+                seen_vertices = true;
+                read_vertices(&mut body, element, &mut soup, warnings)?;
+            }
+            "face" => faces.push(body.faces(element)?),
+            "tristrips" => faces.push(body.strips(element)?),
+            name => {
+                if name != "edge" && element.count > 0 {
+                    warnings.add(format!("the element \"{name}\" is skipped"));
+                }
+                body.skip(element)?;
+            }
+        }
+    }
+    if !seen_vertices {
+        return Err(damaged(input.name, "there is no element \"vertex\" in its header"));
+    }
+    take_faces(input, faces, &mut soup, warnings)?;
+    Ok(soup)
+}
+
+fn read_vertices(
+    body: &mut Body,
+    element: &Element,
+    soup: &mut Soup,
+    warnings: &mut Warnings,
+) -> Result<(), ImportError> {
+    let column = |names: &[&str]| names.iter().find_map(|name| element.scalar(name));
+    let all = |names: [&[&str]; 3]| Some([column(names[0])?, column(names[1])?, column(names[2])?]);
+    let Some(place) = all([&["x"], &["y"], &["z"]]) else {
+        return Err(damaged(body.name(), "the element \"vertex\" lacks one of the properties x, y, z"));
+    };
+    if element.count >= u64::from(u32::MAX) {
+        let what = format!("there are {} vertices, more than 32-bit indices can name", element.count);
+        return Err(refused(Refusal::TooLarge, body.name(), what, "split the model"));
+    }
+    let normal = all([&["nx"], &["ny"], &["nz"]]);
+    let color = all([COLORS[0], COLORS[1], COLORS[2]]);
+    if element.scalar("s").or(element.scalar("u")).or(element.scalar("texture_u")).is_some() {
+        warnings.add(TEXTURE_WARNING);
+    }
+    let alpha = column(COLORS[3]);
+    let rows = body.rows(element)?;
+    soup.positions = rows.collect(|row| place.map(|c| rows.value(row, c)));
+    if let Some(normal) = normal {
+        soup.normals = rows.collect(|row| normal.map(|c| rows.value(row, c) as f32));
+    }
+    if let Some(color) = color {
+        soup.colors = rows.collect(|row| {
+            let [r, g, b] = color.map(|c| color_byte(&rows, row, c));
+            [r, g, b, alpha.map_or(255, |c| color_byte(&rows, row, c))]
+        });
+    }
+    Ok(())
+}
+
+/// Integers of 8 bits are taken as they are, those of 16 scaled down, floats are 0 to 1.
+fn color_byte(rows: &Rows, row: usize, column: usize) -> u8 {
+    let value = rows.value(row, column);
+    let scaled = match rows.kind(column) {
+        kind if kind.is_float() => value * 255.0,
+        kind if kind.size() == 2 => value / 257.0,
+        _ => value,
+    };
+    if scaled.is_nan() { 255 } else { scaled.round() as u8 }
+}
+
+/// Moves the faces of all elements into the soup, once the number of vertices is known.
+fn take_faces(input: &Input, parts: Vec<Faces>, soup: &mut Soup, warnings: &mut Warnings) -> Result<(), ImportError> {
+    let count = soup.positions.len();
+    let total: usize = parts.iter().map(|f| f.triangle_bound()).sum();
+    if total > input.max_triangles {
+        return Err(super::too_many(input.name, input.max_triangles));
+    }
+    for part in parts {
+        if let Some((face, index)) = part.first_bad_index(count) {
+            let what = format!("face {face} (counted from 0) refers to vertex {index}, but there are {count} vertices");
+            return Err(damaged(input.name, what));
+        }
+        match part {
+            Faces::Triangles(triangles) if soup.triangles.is_empty() => soup.triangles = triangles,
+            Faces::Triangles(triangles) => soup.triangles.extend(triangles),
+            Faces::Polygons { indices, ends } => cut_polygons(&indices, &ends, soup, warnings),
+        }
+    }
+    Ok(())
+}
+
+fn cut_polygons(indices: &[u32], ends: &[usize], soup: &mut Soup, warnings: &mut Warnings) {
+    let begins = std::iter::once(0).chain(ends.iter().copied());
+    let mut corners = Vec::new();
+    let mut cut = Vec::new();
+    for (begin, &end) in begins.zip(ends) {
+        let polygon = &indices[begin..end];
+        match polygon {
+            &[a, b, c] => soup.triangles.push([a, b, c]),
+            &[] | &[_] | &[_, _] => warnings.add("a face with fewer than three corners is skipped"),
+            _ => {
+                soup.polygons_triangulated += 1;
+                corners.clear();
+                corners.extend(polygon.iter().map(|&i| soup.positions[i as usize]));
+                cut.clear();
+                pb_mesh::polygon::triangulate(&corners, &mut cut);
+                soup.triangles.extend(cut.iter().map(|t| t.map(|i| polygon[i as usize])));
+            }
+        }
+    }
+}
+
+/// Converts a parallel pass over rows into a list in their order.
+fn collect_rows<T: Send>(count: usize, make: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..count).into_par_iter().with_min_len(CHUNK).map(make).collect()
+}

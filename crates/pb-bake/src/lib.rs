@@ -1,0 +1,4 @@
+//! The parts of pb-bake that tests, benchmarks and fuzz targets call: importers and mesh writers.
+
+pub mod export;
+pub mod import;
