@@ -308,7 +308,7 @@ fn assemble(
         .into_par_iter()
         .map(|c| Bounds::of(clusters.segmentation.cluster(c).iter().flat_map(|&t| triangles[t as usize]), &grid.points))
         .collect();
-    let spheres: Vec<(DVec3, f64)> = bounds.iter().map(|b| (b.center.as_dvec3(), b.radius)).collect();
+    let spheres: Vec<(DVec3, f64)> = bounds.iter().map(|b| (b.center.as_dvec3(), b.radius as f64)).collect();
     let mut hierarchy = hierarchy::build(&spheres);
     let mut new_of = vec![0u32; count];
     hierarchy.order.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = new as u32);
@@ -358,7 +358,7 @@ fn assemble(
             origin: b.low.to_array(),
             shift: grid.shifts[hierarchy.order[new] as usize],
             center: b.center.to_array(),
-            radius: (b.radius as f32).next_up(),
+            radius: b.radius,
             neighbours_first: firsts[new],
             neighbours_count: firsts[new + 1] - firsts[new],
             reserved: [0; 2],
@@ -382,7 +382,8 @@ struct Bounds {
     low: glam::IVec3,
     high: glam::IVec3,
     center: glam::IVec3,
-    radius: f64,
+    /// Rounded up, so that it holds every position (I4).
+    radius: f32,
 }
 
 impl Bounds {
@@ -394,7 +395,8 @@ impl Bounds {
             .fold((glam::IVec3::MAX, glam::IVec3::MIN), |(lo, hi), p| (lo.min(p), hi.max(p)));
         let center = low + (high - low) / 2;
         let square = |v: u32| (point(v) - center).as_dvec3().length_squared();
-        Bounds { low, high, center, radius: positions.map(square).fold(0.0, f64::max).sqrt() }
+        let radius = positions.map(square).fold(0.0, f64::max).sqrt();
+        Bounds { low, high, center, radius: (radius as f32).next_up() }
     }
 }
 
