@@ -1,0 +1,5 @@
+//! pb-bake as a whole: what it prints, what it leaves behind, how it exits.
+
+mod archives;
+mod bake;
+mod harness;
