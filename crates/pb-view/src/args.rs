@@ -105,6 +105,10 @@ pub struct Args {
     #[arg(long, hide = true)]
     pub debug_backfaces: bool,
 
+    /// Hold each chunk back for this many frames after it was asked for (for tests: late data, always the same).
+    #[arg(long, hide = true, value_name = "N", default_value_t = 0)]
+    pub late_frames: u32,
+
     /// One draw call per cluster even where the adapter takes many in one.
     #[arg(long, hide = true)]
     pub plain_draws: bool,

@@ -36,6 +36,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     }
     let target = Offscreen::new(&gpu, args.size, args.format.texture())?;
     let mut stage = Stage::new(&gpu, model, args.bounds(), target.format)?;
+    stage.set_late_frames(args.late_frames);
     if args.plain_draws {
         stage.renderer.set_multi_draw(&gpu, false);
     }

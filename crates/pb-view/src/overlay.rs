@@ -11,8 +11,8 @@ const COLUMNS: u32 = 160;
 const CELL: u32 = 8;
 /// Empty rows above and below the letters.
 const MARGIN: u32 = 3;
-/// Screen pixels per bitmap pixel.
-const SCALE: f32 = 1.0;
+/// Screen rows per step of the letters' size.
+const ROWS_PER_SCALE: u32 = 700;
 
 const WIDTH: u32 = COLUMNS * CELL;
 const HEIGHT: u32 = CELL + 2 * MARGIN;
@@ -93,7 +93,8 @@ impl Overlay {
 
     /// Draws the line into the upper left corner of `color`, `size` pixels.
     pub fn draw(&self, gpu: &Gpu, color: &wgpu::TextureView, size: [u32; 2]) {
-        let (w, h) = (2.0 * WIDTH as f32 * SCALE / size[0] as f32, 2.0 * HEIGHT as f32 * SCALE / size[1] as f32);
+        let scale = (size[1] / ROWS_PER_SCALE).max(1);
+        let (w, h) = (2.0 * (WIDTH * scale) as f32 / size[0] as f32, 2.0 * (HEIGHT * scale) as f32 / size[1] as f32);
         gpu.queue.write_buffer(&self.place, 0, bytemuck::bytes_of(&[-1.0, 1.0 - h, w, h]));
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         {
@@ -107,8 +108,7 @@ impl Overlay {
                 })],
                 ..Default::default()
             });
-            let width = ((self.columns * CELL) as f32 * SCALE) as u32;
-            pass.set_scissor_rect(0, 0, width.clamp(1, size[0]), size[1]);
+            pass.set_scissor_rect(0, 0, (self.columns * CELL * scale).clamp(1, size[0]), size[1]);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &self.group, &[]);
             pass.draw(0..4, 0..1);

@@ -14,6 +14,7 @@ use pb_render::{Camera, ChunkData, Gpu, ModelTables, Renderer, Scene, Style, Sur
 use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
 use pb_stream::loader::{LoadResult, Loader};
 use rayon::prelude::*;
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -82,6 +83,9 @@ pub struct Stage {
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
     near: f64,
+    /// Frames that a chunk stays away after it was asked for (a debug switch), and the chunks that wait.
+    late_frames: u32,
+    late: VecDeque<(u32, pb_stream::ChunkId, LoadResult<Chunk>)>,
 }
 
 impl Stage {
@@ -130,6 +134,8 @@ impl Stage {
             plan: Plan::default(),
             switch: None,
             near: s.radius * 2.0 * NEAR,
+            late_frames: 0,
+            late: VecDeque::new(),
             model,
         })
     }
@@ -203,8 +209,23 @@ impl Stage {
         }
     }
 
+    /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
+    pub fn set_late_frames(&mut self, frames: u32) {
+        self.late_frames = frames;
+    }
+
     /// Takes what the loader threads have finished.
     fn take_loaded(&mut self) {
+        if self.late_frames > 0 {
+            self.late.iter_mut().for_each(|(frames, ..)| *frames -= 1);
+            let asked = self.loader.drain().into_iter();
+            self.late.extend(asked.map(|(chunk, result)| (self.late_frames, chunk, result)));
+            while self.late.front().is_some_and(|(frames, ..)| *frames == 0) {
+                let (_, chunk, result) = self.late.pop_front().expect("there is a front");
+                self.accept(chunk, result);
+            }
+            return;
+        }
         while let Some((chunk, result)) = self.loader.try_next() {
             self.accept(chunk, result);
         }

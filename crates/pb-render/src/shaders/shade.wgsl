@@ -23,18 +23,25 @@ fn color_of_level(level: u32) -> vec3<f32> {
     return palette[level % 6u];
 }
 
+// True where the rasteriser sees a back face and the normal points away by more than `slack` (a cosine). The
+// rasteriser alone is no judge: when it snaps vertices to its subpixel grid it turns slivers over, which would blink,
+// and along a contour the depths of both sides are equal.
+fn from_behind(f: Fragment, front: bool, slack: f32) -> bool {
+    return !front && dot(normalize(f.normal), normalize(-f.position)) < -slack;
+}
+
 // Sky above, ground below, a sun and a weak light at the eye; surfaces have two sides.
 fn lit(f: Fragment, front: bool, albedo: vec3<f32>) -> vec4<f32> {
-    let n = normalize(f.normal) * select(-1.0, 1.0, front);
+    let n = normalize(f.normal) * select(1.0, -1.0, from_behind(f, front, 0.0));
     let to_eye = normalize(-f.position);
-    let sky = mix(vec3<f32>(0.16, 0.15, 0.14), vec3<f32>(0.34, 0.36, 0.40), dot(n, view.sun) * 0.5 + 0.5);
-    let sun = max(dot(n, view.sun), 0.0) * vec3<f32>(0.55, 0.53, 0.5);
-    let head = max(dot(n, to_eye), 0.0) * 0.2;
+    let sky = mix(vec3<f32>(0.14, 0.13, 0.12), vec3<f32>(0.27, 0.28, 0.31), dot(n, view.sun) * 0.5 + 0.5);
+    let sun = max(dot(n, view.sun), 0.0) * vec3<f32>(0.52, 0.51, 0.49);
+    let head = max(dot(n, to_eye), 0.0) * 0.19;
     return vec4<f32>(albedo * (sky + sun + head), 1.0);
 }
 
 fn shaded(f: Fragment, front: bool, triangle: u32) -> vec4<f32> {
-    if view.show_back_faces != 0u && !front {
+    if view.show_back_faces != 0u && from_behind(f, front, 0.25) {
         return vec4<f32>(1.0, 0.0, 1.0, 1.0);
     }
     var albedo = srgb_to_linear(clamp(f.color.rgb, vec3<f32>(0.0), vec3<f32>(1.0)));

@@ -1,12 +1,10 @@
 //! Headless flights from outside.
 
-use crate::support::{folder, no_adapter, pb_view, torus};
+use crate::support::{folder, adapter, pb_view, torus};
 
 #[test]
 fn the_default_flight_draws_frames_and_statistics() {
-    if no_adapter("the default flight") {
-        return;
-    }
+    let Some(_) = adapter("the default flight") else { return };
     let out = folder("default_flight");
     let stats = out.join("stats.csv");
     let run = pb_view(&[

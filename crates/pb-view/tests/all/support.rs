@@ -6,6 +6,8 @@ use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
 use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{RepairOptions, repair};
+use pb_render::{Camera, Gpu, RenderError};
+use pb_view::flypath::Keyframe;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -36,6 +38,25 @@ pub fn bumpy_torus(n: u32, center: [f64; 3]) -> Soup {
     soup
 }
 
+/// A square of hills, 2 wide, of `2 * n * n` triangles, seen from +y: open, and rough from vertex to vertex.
+pub fn hills(n: u32) -> Soup {
+    let mut soup = Soup::default();
+    for (i, j) in (0..=n).flat_map(|j| (0..=n).map(move |i| (i, j))) {
+        let (x, z) = (i as f64 / n as f64 * 2.0 - 1.0, j as f64 / n as f64 * 2.0 - 1.0);
+        let rough = (i.wrapping_mul(73_856_093) ^ j.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 16;
+        let y = 0.03 * (9.0 * x + 2.0 * z).sin() * (7.0 * z).cos()
+            + 0.008 * (31.0 * x - 5.0 * z).sin() * (27.0 * z).sin()
+            + 0.0015 * rough as f64 / 65536.0;
+        soup.positions.push([x, y, z]);
+    }
+    let at = |i: u32, j: u32| j * (n + 1) + i;
+    for (i, j) in (0..n).flat_map(|j| (0..n).map(move |i| (i, j))) {
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        soup.triangles.extend([[a, c, b], [a, d, c]]);
+    }
+    soup
+}
+
 /// Bakes and writes an archive.
 pub fn bake_to(path: &Path, soup: Soup, options: &BakeOptions) {
     let triangles_in = soup.triangles.len() as u64;
@@ -55,12 +76,48 @@ pub fn folder(name: &str) -> PathBuf {
 /// The archive of a bumpy torus of 131 072 triangles in small clusters, baked once per test run.
 pub fn torus() -> &'static Path {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
-    PATH.get_or_init(|| {
-        let path = folder("archives").join("torus.pb");
-        let options = BakeOptions { cluster_triangles: 2048, ..BakeOptions::default() };
-        bake_to(&path, bumpy_torus(256, [0.0; 3]), &options);
-        path
-    })
+    PATH.get_or_init(|| baked("torus.pb", bumpy_torus(256, [0.0; 3]), 5))
+}
+
+/// The archive of 33 800 triangles of hills, baked once per test run.
+pub fn hilly() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| baked("hills.pb", hills(130), 3))
+}
+
+fn baked(name: &str, soup: Soup, levels: u32) -> PathBuf {
+    let path = folder("archives").join(name);
+    bake_to(&path, soup, &BakeOptions { levels, cluster_triangles: 2048, ..BakeOptions::default() });
+    path
+}
+
+/// Writes a flypath of these keyframes (time, eye, target) with one up vector and field of view.
+pub fn write_flight(path: &Path, fps: f64, up: [f64; 3], fov_deg: f64, keys: &[(f64, [f64; 3], [f64; 3])]) {
+    let keyframes: Vec<String> = keys
+        .iter()
+        .map(|(t, eye, target)| format!(r#"{{"t":{t},"eye":{eye:?},"target":{target:?},"up":{up:?}}}"#))
+        .collect();
+    let keyframes = keyframes.join(",\n");
+    let text = format!(r#"{{"version":1,"fps":{fps},"fov_deg":{fov_deg},"keyframes":[{keyframes}]}}"#);
+    std::fs::write(path, text).expect("the target folder can be written");
+}
+
+/// The camera that the program uses for a keyframe.
+pub fn camera(key: &Keyframe) -> Camera {
+    Camera { eye: key.eye, target: key.target, up: key.up, fov_deg: key.fov_deg, near: 1e-4 }
+}
+
+/// Frame `frame` of a folder that the program wrote: width, height, RGB.
+pub fn read_frame(folder: &Path, frame: u32) -> image::RgbImage {
+    image::open(folder.join(format!("frame_{frame:05}.png"))).expect("the frame was written").to_rgb8()
+}
+
+/// A column of a statistics file.
+pub fn column(stats: &Path, name: &str) -> Vec<f64> {
+    let text = std::fs::read_to_string(stats).expect("the statistics were written");
+    let at = text.lines().next().and_then(|l| l.split(',').position(|c| c == name)).expect("the column is there");
+    let value = |line: &str| line.split(',').nth(at).and_then(|v| v.parse().ok()).expect("a number");
+    text.lines().skip(1).map(value).collect()
 }
 
 /// A finished run of the program.
@@ -81,13 +138,14 @@ pub fn pb_view<S: AsRef<std::ffi::OsStr>>(words: &[S]) -> Run {
     }
 }
 
-/// True after saying loudly that a test did not run, where there is no adapter.
-pub fn no_adapter(test: &str) -> bool {
-    match pb_render::Gpu::headless() {
-        Err(pb_render::RenderError::NoAdapter(reason)) => {
+/// The adapter, or none after saying loudly that a test did not run.
+pub fn adapter(test: &str) -> Option<Gpu> {
+    match Gpu::headless() {
+        Ok(gpu) => Some(gpu),
+        Err(RenderError::NoAdapter(reason)) => {
             eprintln!("SKIPPED: no Vulkan adapter: {test} did not run ({reason})");
-            true
+            None
         }
-        _ => false,
+        Err(e) => panic!("the adapter cannot be opened: {e}"),
     }
 }
