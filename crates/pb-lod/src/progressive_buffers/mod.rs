@@ -19,6 +19,8 @@ pub mod displayed_surface;
 #[cfg(test)]
 mod baked_torus;
 #[cfg(test)]
+mod format_tests;
+#[cfg(test)]
 mod grid_torus;
 pub mod hierarchy;
 pub mod layout;
