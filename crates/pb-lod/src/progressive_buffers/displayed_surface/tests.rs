@@ -86,8 +86,8 @@ fn vertices_move_continuously_with_distance_and_with_the_floor() {
 
 #[test]
 fn unmatched_edges_count_what_is_open() {
-    let mut surface = Surface::default();
-    surface.triangles = vec![[0, 1, 2], [2, 1, 3], [0, 2, 3], [0, 3, 1]];
+    let triangles = vec![[0, 1, 2], [2, 1, 3], [0, 2, 3], [0, 3, 1]];
+    let mut surface = Surface { triangles, ..Surface::default() };
     assert_eq!(surface.unmatched_edges(), 0);
     surface.triangles.pop();
     assert_eq!(surface.unmatched_edges(), 3);
