@@ -27,6 +27,8 @@ pub mod layout;
 mod level_mesh;
 pub mod model;
 mod model_check;
+#[cfg(test)]
+mod model_tests;
 pub mod select;
 pub mod switch;
 pub mod verify;
