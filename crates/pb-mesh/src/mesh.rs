@@ -21,6 +21,8 @@ pub struct Soup {
     pub triangles: Vec<[u32; 3]>,
     /// Faces of the input with more than three corners.
     pub polygons_triangulated: u64,
+    /// Vertices that no face uses and that the reader has left out already.
+    pub unreferenced_left_out: u64,
 }
 
 impl Soup {
@@ -31,8 +33,8 @@ impl Soup {
         let base = u32::try_from(self.positions.len()).expect("a soup has at most u32::MAX records");
         if self.positions.is_empty() && self.triangles.is_empty() {
             let polygons = self.polygons_triangulated + other.polygons_triangulated;
-            *self = other;
-            self.polygons_triangulated = polygons;
+            let left_out = self.unreferenced_left_out + other.unreferenced_left_out;
+            *self = Soup { polygons_triangulated: polygons, unreferenced_left_out: left_out, ..other };
             return;
         }
         let (mine, theirs) = (self.positions.len(), other.positions.len());
@@ -41,6 +43,7 @@ impl Soup {
         self.positions.extend(other.positions);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + base)));
         self.polygons_triangulated += other.polygons_triangulated;
+        self.unreferenced_left_out += other.unreferenced_left_out;
     }
 }
 

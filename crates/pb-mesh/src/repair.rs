@@ -57,7 +57,7 @@ pub struct RepairReport {
     pub polygons_triangulated: u64,
     /// Records that were joined with an earlier one of the same position.
     pub positions_welded: u64,
-    /// Distinct positions that no triangle uses.
+    /// Positions that no triangle uses.
     pub unreferenced_dropped: u64,
     /// Triangles in which a position repeats.
     pub degenerate_removed: u64,
@@ -132,6 +132,7 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         triangles_in: soup.triangles.len() as u64,
         records_in: soup.positions.len() as u64,
         polygons_triangulated: soup.polygons_triangulated,
+        unreferenced_dropped: soup.unreferenced_left_out,
         ..RepairReport::default()
     };
     let Soup { positions, mut normals, colors, triangles: mut records, .. } = soup;
@@ -226,7 +227,7 @@ fn number_positions(
         }
     }
     report.positions_welded = welded;
-    report.unreferenced_dropped = positions.len() as u64 - welded - u64::from(used);
+    report.unreferenced_dropped += positions.len() as u64 - welded - u64::from(used);
     positions.truncate(used as usize);
     positions.shrink_to_fit();
     let triangles = records.par_iter().map(|t| standing(t).map(|r| number[r as usize])).collect();

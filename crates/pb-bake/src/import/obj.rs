@@ -31,11 +31,13 @@ pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Soup, Impor
             None => {
                 let (models, materials) = parsed.map_err(|error| damaged(input.name, error.to_string()))?;
                 warnings.append(libraries.warnings.into_inner());
+                let unreferenced_left_out = lines.unreferenced();
                 if lines.has_texture_coordinates {
                     warnings.add(TEXTURE_WARNING);
                 }
                 warnings.append(lines.warnings);
-                return Ok(join(&models, &materials.unwrap_or_default(), warnings));
+                let soup = join(&models, &materials.unwrap_or_default(), warnings);
+                return Ok(Soup { unreferenced_left_out, ..soup });
             }
         }
     }

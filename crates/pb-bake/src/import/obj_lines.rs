@@ -39,6 +39,8 @@ pub(super) struct ObjLines<'a> {
     /// The highest index so far that points ahead, and the line that has it.
     ahead: (u64, usize),
     pub(super) vertices: u64,
+    /// Whether a face uses each vertex.
+    used: Vec<bool>,
     normals: u64,
     pub(super) faces: u64,
     pub(super) has_texture_coordinates: bool,
@@ -68,6 +70,7 @@ impl<'a> ObjLines<'a> {
             bad_vertices: Vec::new(),
             ahead: (0, 0),
             vertices: 0,
+            used: Vec::new(),
             normals: 0,
             faces: 0,
             has_texture_coordinates: false,
@@ -99,6 +102,11 @@ impl<'a> ObjLines<'a> {
             }
             (None, _) => None,
         }
+    }
+
+    /// Vertices that no face uses; 0 where faces point ahead and it is not known.
+    pub(super) fn unreferenced(&self) -> u64 {
+        if self.ahead.0 > 0 { 0 } else { self.used.iter().filter(|used| !**used).count() as u64 }
     }
 
     fn place(&self) -> String {
@@ -206,6 +214,7 @@ impl<'a> ObjLines<'a> {
             self.mode = colors;
         }
         self.vertices += 1;
+        self.used.push(false);
         let [Some(_), Some(_), Some(_)] = values else {
             self.bad_vertices.push((self.vertices, self.line));
             self.put_vertex(&[b"0"; 3], &more);
@@ -323,6 +332,9 @@ impl<'a> ObjLines<'a> {
         }
         if vertex > self.vertices && vertex > self.ahead.0 {
             self.ahead = (vertex, self.line);
+        }
+        if let Some(used) = self.used.get_mut(vertex as usize - 1) {
+            *used = true;
         }
         if self.bad_vertices.binary_search_by_key(&vertex, |bad| bad.0).is_ok() {
             let line = self.bad_vertices.iter().find(|bad| bad.0 == vertex).map_or(0, |bad| bad.1);
