@@ -1,4 +1,4 @@
-//! STL, ascii and binary. Own reader, see docs/decisions/002-own-stl-reader.md.
+//! STL, ascii and binary. Own reader, see docs/decisions/003-own-stl-reader.md.
 //!
 //! Facet normals and attribute bytes are not passed on: a facet normal says nothing that the corners do not, and
 //! would keep the corners of a smooth surface apart.

@@ -1,7 +1,7 @@
 //! glTF 2.0 and GLB: all triangles of the default scene in world space, without textures, animations and skins
 //! (skinned meshes stand as they were modelled).
 //!
-//! Own reader on `serde_json`, see docs/decisions/003-own-gltf-reader.md. Counts and ranges are checked against the
+//! Own reader on `serde_json`, see docs/decisions/004-own-gltf-reader.md. Counts and ranges are checked against the
 //! bytes that are there, and the size of the expanded scene against a limit, before anything is allocated for it.
 
 mod accessor;

@@ -1,0 +1,9 @@
+//! Reads arbitrary bytes as a glTF document or a GLB file, without any file beside it.
+#![no_main]
+
+mod imported;
+
+use libfuzzer_sys::fuzz_target;
+use pb_bake::import::Format;
+
+fuzz_target!(|data: &[u8]| imported::import(Format::Gltf, data));
