@@ -37,8 +37,12 @@ fn fields(line: &str) -> Vec<String> {
     fields
 }
 
+fn numbers(text: &str) -> Vec<f64> {
+    text.split_whitespace().filter_map(|word| word.parse().ok()).collect()
+}
+
 #[test]
-fn every_fixture_has_the_triangles_and_positions_of_its_manifest() {
+fn every_fixture_has_the_triangles_positions_and_bounds_of_its_manifest() {
     let Some(folder) = shared("fixtures") else { return };
     let manifest = std::fs::read_to_string(folder.join("manifest.csv")).unwrap();
     let mut checked = 0;
@@ -62,6 +66,15 @@ fn every_fixture_has_the_triangles_and_positions_of_its_manifest() {
         let expected = other.map_or((triangles, welded.unwrap_or(0)), |o| (o.1, o.2));
         if (report.triangles_in, positions) != expected {
             differing.push(format!("{name}: {:?} instead of {expected:?}", (report.triangles_in, positions)));
+        }
+        let bounds = numbers(&line[20]);
+        if bounds.len() == 6 && !COUNTED_OTHERWISE.iter().any(|o| o.0 == name) {
+            let (low, high) = mesh.bounds();
+            let size = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+            let far = |k: usize| (low[k] - bounds[k]).abs().max((high[k] - bounds[k + 3]).abs()) > 1e-4 * size;
+            if (0..3).any(far) {
+                differing.push(format!("{name}: {low:?} .. {high:?} instead of {}", line[20]));
+            }
         }
         let kept = report.triangles_in - report.degenerate_removed - report.duplicates_removed;
         assert_eq!(mesh.triangles.len() as u64, kept, "{name}");
