@@ -2,7 +2,7 @@
 
 use crate::gpu::Gpu;
 use crate::gpu_model::GpuModel;
-use crate::target::DEPTH_FORMAT;
+use crate::target::{DEPTH_FORMAT, Samples};
 
 /// The display rule: functions and bindings without entry points.
 pub const DISPLAY_WGSL: &str = include_str!("shaders/display.wgsl");
@@ -44,6 +44,15 @@ impl Default for Style {
     }
 }
 
+/// What a pipeline draws to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PictureFormat {
+    /// Colour format.
+    pub color: wgpu::TextureFormat,
+    /// Samples per pixel.
+    pub samples: Samples,
+}
+
 /// The whole text of the shader module.
 pub fn shader_source(primitive_index: bool) -> String {
     let (enable, fragment) = match primitive_index {
@@ -61,7 +70,7 @@ pub(crate) struct Pipelines {
 }
 
 impl Pipelines {
-    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Self {
+    pub fn new(gpu: &Gpu, picture: PictureFormat) -> Self {
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("clusters"),
             source: wgpu::ShaderSource::Wgsl(shader_source(gpu.primitive_index).into()),
@@ -74,7 +83,7 @@ impl Pipelines {
         });
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;
-            wanted.then(|| pipeline(gpu, &pipeline_layout, &module, entry, (format, mode)))
+            wanted.then(|| pipeline(gpu, &pipeline_layout, &module, entry, (picture, mode)))
         };
         let modes = [wgpu::PolygonMode::Fill, wgpu::PolygonMode::Line];
         Self {
@@ -145,7 +154,7 @@ fn pipeline(
     layout: &wgpu::PipelineLayout,
     module: &wgpu::ShaderModule,
     entry: &str,
-    (format, polygon_mode): (wgpu::TextureFormat, wgpu::PolygonMode),
+    (picture, polygon_mode): (PictureFormat, wgpu::PolygonMode),
 ) -> wgpu::RenderPipeline {
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(entry),
@@ -164,12 +173,12 @@ fn pipeline(
             stencil: Default::default(),
             bias: Default::default(),
         }),
-        multisample: Default::default(),
+        multisample: wgpu::MultisampleState { count: picture.samples as u32, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
             module,
             entry_point: Some("fs_main"),
             compilation_options: Default::default(),
-            targets: &[Some(format.into())],
+            targets: &[Some(picture.color.into())],
         }),
         multiview_mask: None,
         cache: None,

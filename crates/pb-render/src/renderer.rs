@@ -10,21 +10,12 @@ use crate::camera::Camera;
 use crate::error::RenderError;
 use crate::gpu::Gpu;
 use crate::gpu_model::{ChunkData, GpuModel, ModelTables};
-use crate::pipelines::{Pipelines, Style};
+use crate::pipelines::{PictureFormat, Pipelines, Style};
 use crate::tables::{DrawArguments, ViewUniform};
+use crate::target::Surface;
 
 /// Behind everything, sRGB encoded: what a fragment that nothing covers shows.
 pub const BACKGROUND_SRGB: [u8; 3] = [38, 42, 48];
-
-/// Where a frame is drawn to.
-pub struct Surface<'a> {
-    /// Colour, in the format that the renderer was made for.
-    pub color: &'a wgpu::TextureView,
-    /// Depth of the same size.
-    pub depth: &'a wgpu::TextureView,
-    /// Width and height, pixels.
-    pub size: [u32; 2],
-}
 
 /// What is drawn in one frame.
 pub struct Scene<'a> {
@@ -51,16 +42,16 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Everything on the adapter for one model, inside `vram_bound` bytes, drawing to `format`.
+    /// Everything on the adapter for one model, inside `vram_bound` bytes, drawing pictures of one format.
     pub fn new(
         gpu: &Gpu,
         tables: &ModelTables,
         coarse: &[ChunkData],
         vram_bound: u64,
-        format: wgpu::TextureFormat,
+        picture: PictureFormat,
     ) -> Result<Self, RenderError> {
         let model = GpuModel::new(gpu, tables, coarse, vram_bound)?;
-        let pipelines = Pipelines::new(gpu, format);
+        let pipelines = Pipelines::new(gpu, picture);
         let view_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<ViewUniform>() as u64,
@@ -88,13 +79,14 @@ impl Renderer {
     /// Draws a frame over the background. Every chunk that the plan draws, and all coarser ones of its
     /// cluster, must be resident (I5).
     pub fn draw(&self, gpu: &Gpu, surface: &Surface, scene: &Scene) {
-        self.write_view(gpu, surface.size, scene);
+        self.write_view(gpu, surface.canvas.size, scene);
         gpu.queue.write_buffer(&self.model.floor_buffer, 0, bytemuck::cast_slice(&scene.plan.floors));
         let arguments: Vec<DrawArguments> =
             scene.plan.draws.iter().map(|d| self.model.arguments(d.cluster, d.level)).collect();
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         {
-            let mut pass = begin(&mut encoder, surface);
+            let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));
+            let mut pass = surface.canvas.begin(&mut encoder, surface.color, wgpu::Color { r, g, b, a: 1.0 });
             pass.set_bind_group(0, &self.bind_group, &[]);
             self.draw_clusters(gpu, &mut pass, &arguments, scene.style);
             self.draw_coarse(&mut pass, scene);
@@ -160,28 +152,6 @@ fn sun(camera: &Camera) -> Vec3 {
     let up = camera.up.normalize_or(glam::DVec3::Y).as_vec3();
     let side = up.any_orthonormal_vector();
     (up * 1.2 + side * 0.7 + up.cross(side) * 0.5).normalize()
-}
-
-fn begin<'a>(encoder: &'a mut wgpu::CommandEncoder, surface: &Surface) -> wgpu::RenderPass<'a> {
-    let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        label: Some("clusters"),
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view: surface.color,
-            depth_slice: None,
-            resolve_target: None,
-            ops: wgpu::Operations {
-                load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
-                store: wgpu::StoreOp::Store,
-            },
-        })],
-        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-            view: surface.depth,
-            depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
-            stencil_ops: None,
-        }),
-        ..Default::default()
-    })
 }
 
 fn linear(srgb: f64) -> f64 {

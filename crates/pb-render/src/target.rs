@@ -1,4 +1,4 @@
-//! What is drawn to: a colour and a depth image, and the way back into memory.
+//! What is drawn to: depth and samples behind a colour image, and the way back into memory.
 //!
 //! Depth is 32-bit float, reversed: 1 at the near plane, 0 at infinity, so precision follows distance.
 
@@ -7,17 +7,73 @@ use crate::{error::RenderError, gpu::Gpu};
 /// Depth format of every pipeline.
 pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
-/// Depth buffer of `size` pixels.
-pub fn depth_view(gpu: &Gpu, size: [u32; 2]) -> wgpu::TextureView {
-    texture(gpu, size, DEPTH_FORMAT, wgpu::TextureUsages::RENDER_ATTACHMENT).create_view(&Default::default())
+/// Depth, and samples per pixel where there are several, behind a colour image of the same size.
+pub struct Canvas {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Samples that are averaged into a pixel.
+    pub samples: Samples,
+    samples_view: Option<wgpu::TextureView>,
+    depth: wgpu::TextureView,
 }
 
-fn texture(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> wgpu::Texture {
+/// Samples per pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Samples {
+    /// The pixel's centre: every colour is that of one surface point.
+    One = 1,
+    /// Four: edges are smooth, and things that move slowly change pixels slowly.
+    Four = 4,
+}
+
+impl Canvas {
+    /// For colour images of `size` pixels and `format`.
+    pub fn new(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: Samples) -> Self {
+        let view = |format| {
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
+            texture(gpu, size, (format, samples), usage).create_view(&Default::default())
+        };
+        let samples_view = (samples != Samples::One).then(|| view(format));
+        Self { size, samples, samples_view, depth: view(DEPTH_FORMAT) }
+    }
+
+    /// Begins to draw into `color`, which is cleared.
+    pub(crate) fn begin<'a>(
+        &self,
+        encoder: &'a mut wgpu::CommandEncoder,
+        color: &wgpu::TextureView,
+        background: wgpu::Color,
+    ) -> wgpu::RenderPass<'a> {
+        let store = if self.samples_view.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("clusters"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: self.samples_view.as_ref().unwrap_or(color),
+                depth_slice: None,
+                resolve_target: self.samples_view.as_ref().map(|_| color),
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(background), store },
+            })],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.depth,
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
+                stencil_ops: None,
+            }),
+            ..Default::default()
+        })
+    }
+}
+
+fn texture(
+    gpu: &Gpu,
+    size: [u32; 2],
+    (format, samples): (wgpu::TextureFormat, Samples),
+    usage: wgpu::TextureUsages,
+) -> wgpu::Texture {
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: None,
         size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
         mip_level_count: 1,
-        sample_count: 1,
+        sample_count: samples as u32,
         dimension: wgpu::TextureDimension::D2,
         format,
         usage,
@@ -25,32 +81,40 @@ fn texture(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, usage: wgpu::
     })
 }
 
+/// Where a frame is drawn to.
+pub struct Surface<'a> {
+    /// Colour, in the format that the renderer was made for.
+    pub color: &'a wgpu::TextureView,
+    /// Depth and samples of the same size.
+    pub canvas: &'a Canvas,
+}
+
 /// An image to draw to without a window.
 pub struct Offscreen {
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Colour format, 4 or 16 bytes per pixel.
+    /// Colour format.
     pub format: wgpu::TextureFormat,
     /// Colour, to draw to.
     pub color: wgpu::TextureView,
-    /// Depth, to draw to.
-    pub depth: wgpu::TextureView,
+    /// What lies behind it.
+    pub canvas: Canvas,
     texture: wgpu::Texture,
     staging: wgpu::Buffer,
     row_bytes: u32,
 }
 
 impl Offscreen {
-    /// An image of `size` pixels: `Rgba8UnormSrgb` for display, `Rgba32Float` for linear light.
+    /// An image of `size` pixels: `Rgba8UnormSrgb` for display, `Rgba16Float` for linear light.
     /// Fails where the adapter cannot make images of this size.
-    pub fn new(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat) -> Result<Self, RenderError> {
+    pub fn new(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: Samples) -> Result<Self, RenderError> {
         let limit = gpu.device.limits().max_texture_dimension_2d;
         if size[0].max(size[1]) > limit || size[0].min(size[1]) == 0 {
             let what = format!("images of {} x {} pixels (1 to {limit} each way)", size[0], size[1]);
             return Err(RenderError::Unsuitable { adapter: gpu.adapter.get_info().name, what });
         }
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
-        let texture = texture(gpu, size, format, usage);
+        let texture = texture(gpu, size, (format, Samples::One), usage);
         let pixel_bytes = format.block_copy_size(None).expect("colour formats have a size");
         let row_bytes = (size[0] * pixel_bytes).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -60,7 +124,13 @@ impl Offscreen {
             mapped_at_creation: false,
         });
         let color = texture.create_view(&Default::default());
-        Ok(Self { size, format, color, depth: depth_view(gpu, size), texture, staging, row_bytes })
+        let canvas = Canvas::new(gpu, size, format, samples);
+        Ok(Self { size, format, color, canvas, texture, staging, row_bytes })
+    }
+
+    /// What the renderer draws to.
+    pub fn surface(&self) -> Surface<'_> {
+        Surface { color: &self.color, canvas: &self.canvas }
     }
 
     /// The colour image, rows from the top, without padding, in the bytes of its format.

@@ -2,7 +2,7 @@
 
 use clap::{Parser, ValueEnum};
 use pb_lod::plan::Detail;
-use pb_render::{ColorMode, Style};
+use pb_render::{ColorMode, Samples, Style};
 use std::path::PathBuf;
 
 use crate::picture::Format;
@@ -92,6 +92,10 @@ pub struct Args {
     /// Draw triangles as lines.
     #[arg(long)]
     pub wireframe: bool,
+
+    /// Samples per pixel: 4 for smooth edges, 1 where each pixel shall be the colour of one point.
+    #[arg(long, value_name = "1|4", default_value = "4", value_parser = parse_samples)]
+    pub samples: Samples,
 
     /// Which way is up, where no flypath says it.
     #[arg(long, value_enum, default_value_t = Up::Y)]
@@ -194,6 +198,14 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
     match size {
         [Some(w), Some(h)] => Ok([w, h]),
         _ => Err(format!("{}, each from 1 to 16384", bad())),
+    }
+}
+
+fn parse_samples(text: &str) -> Result<Samples, String> {
+    match text {
+        "1" => Ok(Samples::One),
+        "4" => Ok(Samples::Four),
+        _ => Err(format!("'{text}' samples are not offered; choose 1 or 4")),
     }
 }
 

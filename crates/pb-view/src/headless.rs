@@ -3,7 +3,7 @@
 //! Must never: let the wall clock into what is drawn; with --settle, let the threads either.
 
 use anyhow::{Context, Result, bail};
-use pb_render::{Gpu, Offscreen, Surface};
+use pb_render::{Gpu, Offscreen, PictureFormat};
 use std::path::Path;
 use std::time::Instant;
 
@@ -34,8 +34,9 @@ pub fn run(args: &Args) -> Result<Outcome> {
     if args.wireframe && !gpu.wireframe {
         eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
     }
-    let target = Offscreen::new(&gpu, args.size, args.format.texture())?;
-    let mut stage = Stage::new(&gpu, model, args.bounds(), target.format)?;
+    let target = Offscreen::new(&gpu, args.size, args.format.texture(), args.samples)?;
+    let mut stage =
+        Stage::new(&gpu, model, args.bounds(), PictureFormat { color: target.format, samples: args.samples })?;
     stage.set_late_frames(args.late_frames);
     if args.plain_draws {
         stage.renderer.set_multi_draw(&gpu, false);
@@ -76,8 +77,7 @@ impl Run<'_> {
             true => stage.settle(self.gpu, &moment)?,
             false => stage.advance(self.gpu, &moment)?,
         }
-        let surface = Surface { color: &self.target.color, depth: &self.target.depth, size: self.target.size };
-        stage.draw(self.gpu, &surface, &moment, self.args.style());
+        stage.draw(self.gpu, &self.target.surface(), &moment, self.args.style());
         self.gpu.wait()?;
         let frame_ms = start.elapsed().as_secs_f64() * 1e3;
         let stats = stage.stats();

@@ -9,7 +9,7 @@ use std::path::Path;
 pub enum Format {
     /// 8 bits per channel, sRGB.
     Png,
-    /// 32-bit float per channel, linear light.
+    /// 16-bit float per channel, linear light.
     Exr,
 }
 
@@ -18,7 +18,7 @@ impl Format {
     pub fn texture(self) -> wgpu::TextureFormat {
         match self {
             Format::Png => wgpu::TextureFormat::Rgba8UnormSrgb,
-            Format::Exr => wgpu::TextureFormat::Rgba32Float,
+            Format::Exr => wgpu::TextureFormat::Rgba16Float,
         }
     }
 
@@ -55,10 +55,11 @@ fn write_png(path: &Path, size: [u32; 2], pixels: &[u8]) -> Result<()> {
 
 fn write_exr(path: &Path, size: [u32; 2], pixels: &[u8]) -> Result<()> {
     let (width, height) = (size[0] as usize, size[1] as usize);
-    let floats: Vec<f32> = bytemuck::pod_collect_to_vec(pixels);
+    let bits: Vec<u16> = bytemuck::pod_collect_to_vec(pixels);
+    let half = |i: usize| exr::prelude::f16::from_bits(bits[i]);
     let channels = SpecificChannels::rgb(|at: exr::math::Vec2<usize>| {
         let i = (at.y() * width + at.x()) * 4;
-        (floats[i], floats[i + 1], floats[i + 2])
+        (half(i), half(i + 1), half(i + 2))
     });
     exr::prelude::Image::from_channels((width, height), channels).write().to_file(path)?;
     Ok(())

@@ -10,7 +10,7 @@ use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
 use pb_lod::progressive_buffers::switch::Switch;
-use pb_render::{Camera, ChunkData, Gpu, ModelTables, Renderer, Scene, Style, Surface, grid_eye};
+use pb_render::{Camera, ChunkData, Gpu, ModelTables, PictureFormat, Renderer, Scene, Style, Surface, grid_eye};
 use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
 use pb_stream::loader::{LoadResult, Loader};
 use rayon::prelude::*;
@@ -91,7 +91,7 @@ pub struct Stage {
 impl Stage {
     /// Decodes the coarsest level, makes all buffers, starts the loader threads. Fails when a coarsest chunk is
     /// damaged, because nothing could stand in for it, and when a bound is too small.
-    pub fn new(gpu: &Gpu, model: Arc<Model>, bounds: Bounds, format: wgpu::TextureFormat) -> Result<Self> {
+    pub fn new(gpu: &Gpu, model: Arc<Model>, bounds: Bounds, picture: PictureFormat) -> Result<Self> {
         let tables = ModelTables {
             model: model.record(),
             clusters: model.clusters(),
@@ -105,7 +105,7 @@ impl Stage {
             .collect();
         let coarse = coarse.context("the coarsest level cannot be read, so nothing can be drawn")?;
         let data: Vec<ChunkData> = coarse.iter().map(chunk_data).collect();
-        let renderer = Renderer::new(gpu, &tables, &data, bounds.vram_bytes, format)?;
+        let renderer = Renderer::new(gpu, &tables, &data, bounds.vram_bytes, picture)?;
         let chunk_bytes = tables.chunk_vram_bytes();
         let selector = Selector::new(&SelectTables {
             model: model.record(),

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use pb_lod::plan::Detail;
 use pb_lod::progressive_buffers::model::Model;
-use pb_render::{ColorMode, Gpu, Style, Surface, depth_view};
+use pb_render::{Canvas, ColorMode, Gpu, PictureFormat, Style, Surface};
 use std::sync::Arc;
 use std::time::Instant;
 use winit::application::ApplicationHandler;
@@ -102,7 +102,7 @@ struct Shown {
     gpu: Gpu,
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
-    depth: wgpu::TextureView,
+    canvas: Canvas,
     stage: Stage,
     overlay: Overlay,
     navigator: Navigator,
@@ -141,7 +141,8 @@ impl Shown {
         let config = configuration(&gpu, &surface, window.inner_size())?;
         surface.configure(&gpu.device, &config);
         let subject = subject(model.record(), args.up.vector());
-        let stage = Stage::new(&gpu, model, args.bounds(), config.format)?;
+        let stage =
+            Stage::new(&gpu, model, args.bounds(), PictureFormat { color: config.format, samples: args.samples })?;
         let mut navigator = Navigator::new(subject, FOV_DEG);
         navigator.fit(config.width as f64 / config.height as f64);
         let now = Instant::now();
@@ -149,7 +150,7 @@ impl Shown {
             eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
         }
         Ok(Self {
-            depth: depth_view(&gpu, [config.width, config.height]),
+            canvas: Canvas::new(&gpu, [config.width, config.height], config.format, args.samples),
             overlay: Overlay::new(&gpu, config.format),
             window,
             gpu,
@@ -206,7 +207,7 @@ impl Shown {
         }
         (self.config.width, self.config.height) = (size[0], size[1]);
         self.surface.configure(&self.gpu.device, &self.config);
-        self.depth = depth_view(&self.gpu, size);
+        self.canvas = Canvas::new(&self.gpu, size, self.config.format, self.canvas.samples);
     }
 
     fn button(&mut self, button: MouseButton, pressed: bool) {
@@ -319,7 +320,7 @@ impl Shown {
         let moment = Moment { key, size, detail: self.detail, dt_secs: dt_secs as f32 };
         self.stage.advance(&self.gpu, &moment)?;
         let color = picture.texture.create_view(&Default::default());
-        let surface = Surface { color: &color, depth: &self.depth, size };
+        let surface = Surface { color: &color, canvas: &self.canvas };
         self.stage.draw(&self.gpu, &surface, &moment, self.style);
         self.status(now);
         self.overlay.draw(&self.gpu, &color, size);

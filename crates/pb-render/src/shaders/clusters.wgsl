@@ -3,10 +3,10 @@
 struct Fragment {
     @invariant @builtin(position) clip: vec4<f32>,
     // Relative to the eye, world units.
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
+    @location(0) @interpolate(perspective, centroid) position: vec3<f32>,
+    @location(1) @interpolate(perspective, centroid) normal: vec3<f32>,
     // sRGB encoded.
-    @location(2) color: vec4<f32>,
+    @location(2) @interpolate(perspective, centroid) color: vec4<f32>,
     // cluster * 16 + level
     @location(3) @interpolate(flat) draw: u32,
     // Some vertex of the triangle: tells triangles apart where there is no primitive index.

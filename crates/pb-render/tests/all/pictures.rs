@@ -1,19 +1,16 @@
 //! Whole frames on the adapter.
 
-use crate::random_model::RandomModel;
+use crate::random_model::{PICTURE, RandomModel};
 use glam::DVec3;
 use pb_lod::plan::{ChunkId, Draw, Plan};
-use pb_render::{BACKGROUND_SRGB, Camera, Gpu, Offscreen, RenderError, Renderer, Scene, Style, Surface, grid_eye};
-
-const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+use pb_render::{BACKGROUND_SRGB, Camera, Gpu, Offscreen, RenderError, Renderer, Scene, Style, grid_eye};
 
 /// Vertices stand still: every cluster's floor is at the coarsest level, or all tables say "finest".
 fn picture(gpu: &Gpu, model: &RandomModel, renderer: &Renderer, plan: &Plan, style: Style) -> Vec<u8> {
     let eye = DVec3::new(-10.0, 3.0, 90.0);
     let camera = Camera { eye, target: DVec3::splat(20.0), up: DVec3::Y, fov_deg: 70.0, near: 1e-3 };
-    let target = Offscreen::new(gpu, [160, 120], FORMAT).unwrap();
-    let surface = Surface { color: &target.color, depth: &target.depth, size: target.size };
-    renderer.draw(gpu, &surface, &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), style });
+    let target = Offscreen::new(gpu, [160, 120], PICTURE.color, PICTURE.samples).unwrap();
+    renderer.draw(gpu, &target.surface(), &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), style });
     target.read(gpu).unwrap()
 }
 
@@ -37,7 +34,7 @@ fn one_indirect_call_draws_what_single_calls_draw() {
         return;
     }
     let model = RandomModel::new(5, 30, 4);
-    let mut renderer = model.renderer(&gpu, 1 << 30, FORMAT);
+    let mut renderer = model.renderer(&gpu, 1 << 30);
     upload_all(&gpu, &model, &mut renderer);
     let plan = plan_at(&model, 1);
     let many = picture(&gpu, &model, &renderer, &plan, Style::default());
@@ -59,7 +56,7 @@ fn the_coarse_buffer_draws_what_single_clusters_draw_at_the_coarsest_level() {
         model.levels[cluster * 2].triangles = model.levels[cluster * 2 + 1].triangles;
         model.tables[cluster].floor = 1.0;
     }
-    let mut renderer = model.renderer(&gpu, 1 << 30, FORMAT);
+    let mut renderer = model.renderer(&gpu, 1 << 30);
     upload_all(&gpu, &model, &mut renderer);
     let fine = picture(&gpu, &model, &renderer, &plan_at(&model, 0), Style::default());
     let all = 0..renderer.model.coarse_indices();
@@ -74,11 +71,11 @@ fn the_coarse_buffer_draws_what_single_clusters_draw_at_the_coarsest_level() {
 fn chunks_that_move_inside_the_heap_are_drawn_as_before() {
     let Some(gpu) = crate::adapter("compaction of the heap") else { return };
     let model = RandomModel::new(7, 40, 3);
-    let mut roomy = model.renderer(&gpu, 1 << 30, FORMAT);
+    let mut roomy = model.renderer(&gpu, 1 << 30);
     upload_all(&gpu, &model, &mut roomy);
     // Just enough for everything, after coming and going in an order that leaves holes.
     let bound = roomy.model.vram_bytes() + 16 * 1024;
-    let mut tight = model.renderer(&gpu, bound, FORMAT);
+    let mut tight = model.renderer(&gpu, bound);
     for round in 0..3 {
         upload_all(&gpu, &model, &mut tight);
         assert!(tight.model.vram_bytes() <= bound);
@@ -96,7 +93,7 @@ fn a_bound_below_the_coarsest_level_names_the_size_that_would_do() {
     let Some(gpu) = crate::adapter("too small a bound") else { return };
     let model = RandomModel::new(8, 40, 3);
     let coarse: Vec<_> = (0..40).map(|c| model.chunk(ChunkId(c * 3 + 2))).collect();
-    let make = |bound| Renderer::new(&gpu, &model.tables(), &coarse, bound, FORMAT).map(|r| r.model.vram_bytes());
+    let make = |bound| Renderer::new(&gpu, &model.tables(), &coarse, bound, PICTURE).map(|r| r.model.vram_bytes());
     let Err(RenderError::BoundTooSmall { needed, bound: 1000 }) = make(1000) else { panic!("too small") };
     assert_eq!(make(needed).unwrap(), needed);
     assert!(make(needed - 1).is_err());

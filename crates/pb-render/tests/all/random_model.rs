@@ -5,7 +5,10 @@ use bytemuck::Zeroable;
 use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::display::LodTable;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, MAX_LEVELS, ModelRecord, Vertex};
-use pb_render::{ChunkData, Gpu, ModelTables, Renderer};
+use pb_render::{ChunkData, Gpu, ModelTables, PictureFormat, Renderer, Samples};
+
+/// What the tests draw.
+pub const PICTURE: PictureFormat = PictureFormat { color: wgpu::TextureFormat::Rgba8UnormSrgb, samples: Samples::One };
 
 /// A simple random number, the same on every run.
 pub struct Random(pub u64);
@@ -105,11 +108,11 @@ impl RandomModel {
     }
 
     /// A renderer with nothing but the coarsest level resident.
-    pub fn renderer(&self, gpu: &Gpu, bound: u64, format: wgpu::TextureFormat) -> Renderer {
+    pub fn renderer(&self, gpu: &Gpu, bound: u64) -> Renderer {
         let coarsest = self.model.levels - 1;
         let coarse: Vec<ChunkData> =
             (0..self.model.clusters).map(|c| self.chunk(ChunkId(c * self.model.levels + coarsest))).collect();
-        let mut renderer = Renderer::new(gpu, &self.tables(), &coarse, bound, format).unwrap();
+        let mut renderer = Renderer::new(gpu, &self.tables(), &coarse, bound, PICTURE).unwrap();
         let levels = self.model.levels as usize;
         renderer.set_distances(gpu, self.tables.iter().flat_map(|t| t.distances[..levels].to_vec()).collect());
         renderer

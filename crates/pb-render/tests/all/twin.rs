@@ -1,10 +1,10 @@
 //! The display rule on the adapter gives what its Rust twin gives.
 
-use crate::random_model::{Random, RandomModel};
+use crate::random_model::{PICTURE, Random, RandomModel};
 use glam::DVec3;
 use pb_lod::plan::{ChunkId, Plan};
 use pb_lod::progressive_buffers::display::{ClusterView, Displayed, GridEye, LodTable};
-use pb_render::{Camera, DISPLAY_WGSL, Gpu, Offscreen, Renderer, Scene, Style, Surface, grid_eye};
+use pb_render::{Camera, DISPLAY_WGSL, Gpu, Offscreen, Renderer, Scene, Style, grid_eye};
 
 /// Runs `display` of display.wgsl for vertices `[0, count)` of a cluster.
 const PROBE_WGSL: &str = "
@@ -103,7 +103,7 @@ fn close(shown: &[f32; 12], twin: &Displayed, reach: f32) -> bool {
 
 fn check_model(gpu: &Gpu, model: &RandomModel, eye: DVec3, random: &mut Random) {
     let (levels, clusters) = (model.model.levels, model.model.clusters);
-    let mut renderer = model.renderer(gpu, 1 << 30, wgpu::TextureFormat::Rgba8UnormSrgb);
+    let mut renderer = model.renderer(gpu, 1 << 30);
     // In a random order, so that the heap's order says nothing.
     let mut chunks: Vec<u32> = (0..clusters * levels).collect();
     for i in (1..chunks.len()).rev() {
@@ -114,11 +114,10 @@ fn check_model(gpu: &Gpu, model: &RandomModel, eye: DVec3, random: &mut Random) 
     }
     let camera = Camera { eye, target: eye + DVec3::X, up: DVec3::Y, fov_deg: 60.0, near: 1e-3 };
     let eye = grid_eye(&model.model, camera.eye);
-    let target = Offscreen::new(gpu, [16, 16], wgpu::TextureFormat::Rgba8UnormSrgb).unwrap();
-    let surface = Surface { color: &target.color, depth: &target.depth, size: target.size };
+    let target = Offscreen::new(gpu, [16, 16], PICTURE.color, PICTURE.samples).unwrap();
     // An empty frame: leaves the view and the floors on the adapter.
     let plan = Plan { floors: model.floors(), ..Plan::default() };
-    renderer.draw(gpu, &surface, &Scene { plan: &plan, camera: &camera, eye, style: Style::default() });
+    renderer.draw(gpu, &target.surface(), &Scene { plan: &plan, camera: &camera, eye, style: Style::default() });
     let probe = Probe::new(gpu, &renderer);
     for cluster in 0..clusters {
         compare_cluster(model, cluster, &eye, &probe.run(&renderer, cluster, model.counts(cluster)[0]));

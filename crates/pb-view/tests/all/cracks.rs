@@ -3,7 +3,7 @@
 
 use crate::reference::Reference;
 use crate::support::{adapter, camera, column, folder, pb_view, read_frame, torus, write_flight};
-use pb_render::BACKGROUND_SRGB;
+use pb_render::{BACKGROUND_SRGB, Samples};
 use pb_view::flypath::Flypath;
 use std::path::Path;
 
@@ -41,14 +41,15 @@ fn check(name: &str, more: &[&str]) {
     let size = format!("{}x{}", SIZE[0], SIZE[1]);
     let text = |p: &Path| p.to_str().expect("the target folder has a plain name").to_owned();
     let (archive, path_text, out_text, stats_text) = (text(torus()), text(&path), text(&out), text(&stats));
-    let mut words = vec![archive.as_str(), "--headless", "--debug-backfaces", "--flypath", &path_text];
+    let mut words =
+        vec![archive.as_str(), "--headless", "--debug-backfaces", "--samples", "1", "--flypath", &path_text];
     words.extend(["--frames", &out_text, "--stats", &stats_text, "--size", &size]);
     words.extend(more);
     let run = pb_view(&words);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let flight = Flypath::open(&path).unwrap();
     let errors = column(&stats, "error_px");
-    let mut reference = Reference::new(&gpu, torus(), SIZE);
+    let mut reference = Reference::new(&gpu, torus(), SIZE, Samples::One);
     let mut judged = 0;
     for frame in 0..flight.frames() {
         let full = reference.picture(&camera(&flight.at(flight.time(frame))), false);

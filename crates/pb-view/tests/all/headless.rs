@@ -1,6 +1,6 @@
 //! Headless flights from outside.
 
-use crate::support::{folder, adapter, pb_view, torus};
+use crate::support::{adapter, folder, pb_view, torus};
 
 #[test]
 fn the_default_flight_draws_frames_and_statistics() {

@@ -2,7 +2,7 @@
 //! shader of a few lines that shares nothing with the program's.
 
 use pb_lod::progressive_buffers::model::Model;
-use pb_render::{BACKGROUND_SRGB, Camera, DEPTH_FORMAT, Gpu, Offscreen};
+use pb_render::{BACKGROUND_SRGB, Camera, DEPTH_FORMAT, Gpu, Offscreen, Samples};
 use std::path::Path;
 
 const WGSL: &str = "
@@ -10,9 +10,9 @@ struct View { clip_from_eye: mat4x4<f32>, sun: vec3<f32>, show_back_faces: u32 }
 @group(0) @binding(0) var<uniform> view: View;
 struct Fragment {
     @builtin(position) clip: vec4<f32>,
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) color: vec4<f32>,
+    @location(0) @interpolate(perspective, centroid) position: vec3<f32>,
+    @location(1) @interpolate(perspective, centroid) normal: vec3<f32>,
+    @location(2) @interpolate(perspective, centroid) color: vec4<f32>,
 }
 @vertex
 fn vs(@location(0) p: vec3<f32>, @location(1) n: vec3<f32>, @location(2) c: vec4<f32>) -> Fragment {
@@ -65,10 +65,13 @@ pub struct Reference<'a> {
     group: wgpu::BindGroup,
     pipeline: wgpu::RenderPipeline,
     target: Offscreen,
+    /// Colour samples, where there are several, and depth.
+    samples_view: Option<wgpu::TextureView>,
+    depth: wgpu::TextureView,
 }
 
 impl<'a> Reference<'a> {
-    pub fn new(gpu: &'a Gpu, archive: &Path, size: [u32; 2]) -> Self {
+    pub fn new(gpu: &'a Gpu, archive: &Path, size: [u32; 2], samples: Samples) -> Self {
         let model = Model::open(archive).unwrap();
         let (mut positions, mut vertices, mut indices) = (Vec::new(), Vec::new(), Vec::<u32>::new());
         for cluster in 0..model.record().clusters {
@@ -87,8 +90,8 @@ impl<'a> Reference<'a> {
         let index_buffer = buffer(indices.len() * 4, wgpu::BufferUsages::INDEX);
         gpu.queue.write_buffer(&index_buffer, 0, bytemuck::cast_slice(&indices));
         let view_buffer = buffer(size_of::<View>(), wgpu::BufferUsages::UNIFORM);
-        let target = Offscreen::new(gpu, size, wgpu::TextureFormat::Rgba8UnormSrgb).unwrap();
-        let pipeline = pipeline(gpu, target.format);
+        let target = Offscreen::new(gpu, size, wgpu::TextureFormat::Rgba8UnormSrgb, Samples::One).unwrap();
+        let pipeline = pipeline(gpu, target.format, samples);
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &pipeline.get_bind_group_layout(0),
@@ -104,6 +107,8 @@ impl<'a> Reference<'a> {
             view_buffer,
             group,
             pipeline,
+            samples_view: (samples != Samples::One).then(|| image(gpu, size, target.format, samples)),
+            depth: image(gpu, size, DEPTH_FORMAT, samples),
             target,
         }
     }
@@ -125,7 +130,7 @@ impl<'a> Reference<'a> {
         queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         {
-            let mut pass = begin(&mut encoder, &self.target);
+            let mut pass = self.begin(&mut encoder);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &self.group, &[]);
             pass.set_vertex_buffer(0, self.vertex_buffer.slice(..));
@@ -135,30 +140,44 @@ impl<'a> Reference<'a> {
         queue.submit([encoder.finish()]);
         self.target.read(self.gpu).unwrap()
     }
+
+    fn begin<'b>(&self, encoder: &'b mut wgpu::CommandEncoder) -> wgpu::RenderPass<'b> {
+        let [r, g, b] = BACKGROUND_SRGB.map(|c| ((c as f64 / 255.0 + 0.055) / 1.055).powf(2.4));
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: self.samples_view.as_ref().unwrap_or(&self.target.color),
+                depth_slice: None,
+                resolve_target: self.samples_view.as_ref().map(|_| &self.target.color),
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.depth,
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                stencil_ops: None,
+            }),
+            ..Default::default()
+        })
+    }
 }
 
-fn begin<'a>(encoder: &'a mut wgpu::CommandEncoder, target: &Offscreen) -> wgpu::RenderPass<'a> {
-    let [r, g, b] = BACKGROUND_SRGB.map(|c| ((c as f64 / 255.0 + 0.055) / 1.055).powf(2.4));
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view: &target.color,
-            depth_slice: None,
-            resolve_target: None,
-            ops: wgpu::Operations {
-                load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
-                store: wgpu::StoreOp::Store,
-            },
-        })],
-        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-            view: &target.depth,
-            depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
-            stencil_ops: None,
-        }),
-        ..Default::default()
-    })
+fn image(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: Samples) -> wgpu::TextureView {
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: samples as u32,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    texture.create_view(&Default::default())
 }
 
-fn pipeline(gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
+fn pipeline(gpu: &Gpu, format: wgpu::TextureFormat, samples: Samples) -> wgpu::RenderPipeline {
     let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("reference"),
         source: wgpu::ShaderSource::Wgsl(WGSL.into()),
@@ -185,7 +204,7 @@ fn pipeline(gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
             stencil: Default::default(),
             bias: Default::default(),
         }),
-        multisample: Default::default(),
+        multisample: wgpu::MultisampleState { count: samples as u32, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
             module: &module,
             entry_point: Some("fs"),

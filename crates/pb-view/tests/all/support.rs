@@ -46,7 +46,7 @@ pub fn hills(n: u32) -> Soup {
         let rough = (i.wrapping_mul(73_856_093) ^ j.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 16;
         let y = 0.03 * (9.0 * x + 2.0 * z).sin() * (7.0 * z).cos()
             + 0.008 * (31.0 * x - 5.0 * z).sin() * (27.0 * z).sin()
-            + 0.0015 * rough as f64 / 65536.0;
+            + 0.012 * rough as f64 / 65536.0;
         soup.positions.push([x, y, z]);
     }
     let at = |i: u32, j: u32| j * (n + 1) + i;
