@@ -21,17 +21,21 @@ pub struct LodTable {
 impl LodTable {
     /// Level of detail at distance `d` (world units): `max(m, i + (d - D_i) / (D_{i+1} - D_i))`.
     pub fn lod(&self, d: f32) -> f32 {
-        let last = self.levels as usize - 1;
-        let mut lod = last as f32;
-        for i in 0..last {
-            if d < self.distances[i + 1] {
-                let w = (d - self.distances[i]) * (1.0 / (self.distances[i + 1] - self.distances[i]));
-                lod = i as f32 + w.clamp(0.0, 1.0);
-                break;
-            }
-        }
-        lod.max(self.floor)
+        lod_from(self.levels as usize - 1, |i| self.distances[i], d).max(self.floor)
     }
+}
+
+/// Level of detail from distance alone, 0 to `last`; `distance(i)` is `D_i`.
+pub(super) fn lod_from(last: usize, distance: impl Fn(usize) -> f32, d: f32) -> f32 {
+    for i in 0..last {
+        let far = distance(i + 1);
+        if d < far {
+            let near = distance(i);
+            let w = (d - near) * (1.0 / (far - near));
+            return i as f32 + w.clamp(0.0, 1.0);
+        }
+    }
+    last as f32
 }
 
 /// Eye in grid space: an integer cell and the rest, so that differences are exact far from the origin.

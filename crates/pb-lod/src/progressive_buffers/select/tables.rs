@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::super::display::lod_from;
 use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
 use super::super::switch::{Switch, increasing, min_step};
 use crate::plan::ChunkId;
@@ -180,6 +181,7 @@ impl Tables {
     /// Level of detail from distance alone: [`super::super::display::LodTable::lod`] without the floor, of a
     /// reach as [`super::walk::Eyes::reach`] measures it.
     pub fn lod(&self, switch: &Switch, cluster: u32, reach: f32) -> f32 {
-        switch.table(self.errors(cluster), 0.0).lod(reach)
+        let errors = self.errors(cluster);
+        lod_from(errors.len() - 1, |i| switch.distance(errors, i), reach)
     }
 }
