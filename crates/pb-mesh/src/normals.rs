@@ -34,6 +34,9 @@ impl Default for NormalOptions {
     }
 }
 
+/// Smaller areas and squares of lengths are not trusted: their own squares would lose digits.
+const MIN_SQUARE: f64 = 1e-140;
+
 /// A mesh with distinct positions, and what the input says about its corners.
 pub struct Surface<'a> {
     /// World space, pairwise distinct.
@@ -228,7 +231,7 @@ fn normalised(normal: &[f32; 3]) -> Result<[f32; 3], Origin> {
         _ if !length.is_finite() => Err(Origin::Broken),
         _ if length < 1e-20 => Err(Origin::Missing),
         _ if (length - 1.0).abs() < 1e-6 => Ok(normal.map(|x| x + 0.0)),
-        _ => Ok(n.map(|x| (x / length + 0.0) as f32)),
+        _ => Ok(n.map(|x| (x / length) as f32 + 0.0)),
     }
 }
 
@@ -237,9 +240,26 @@ fn corner_face(surface: &Surface, vertex: usize, corner: u32, weight: NormalWeig
     let apex = surface.positions[vertex];
     let a = subtract(surface.positions[next as usize], apex);
     let b = subtract(surface.positions[previous as usize], apex);
+    let face = spanned_face(a, b, weight);
+    if dot(a, a).min(dot(b, b)) > MIN_SQUARE && face.normal != [0.0; 3] {
+        return face;
+    }
+    // Squares of such short edges leave the range of numbers: stretch them first.
+    let largest = |v: [f64; 3]| v.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+    let (size_a, size_b) = (largest(a), largest(b));
+    if size_a == 0.0 || size_b == 0.0 {
+        return CornerFace { normal: [0.0; 3], weight: 0.0 };
+    }
+    let face = spanned_face(a.map(|x| x / size_a), b.map(|x| x / size_b), weight);
+    let stretch = if weight == NormalWeight::Area { size_a * size_b } else { 1.0 };
+    CornerFace { weight: face.weight * stretch, ..face }
+}
+
+/// The triangle between two edges from the corner.
+fn spanned_face(a: [f64; 3], b: [f64; 3], weight: NormalWeight) -> CornerFace {
     let cross = cross(a, b);
     let area = dot(cross, cross).sqrt();
-    if !(area > 0.0 && area.is_finite()) {
+    if !(area > MIN_SQUARE && area.is_finite()) {
         return CornerFace { normal: [0.0; 3], weight: 0.0 };
     }
     let weight = match weight {
@@ -265,11 +285,11 @@ fn mean_normal<'f>(faces: impl Iterator<Item = &'f CornerFace> + Clone) -> [f32;
     }
     let length = dot(sum, sum).sqrt();
     let total: f64 = faces.clone().map(|f| f.weight).sum();
-    if length > 1e-9 * total {
-        return sum.map(|x| (x / length + 0.0) as f32);
+    if length > (1e-9 * total).max(MIN_SQUARE) {
+        return sum.map(|x| (x / length) as f32 + 0.0);
     }
     let any = faces.map(|f| f.normal).find(|n| *n != [0.0; 3]);
-    any.unwrap_or([0.0, 0.0, 1.0]).map(|x| (x + 0.0) as f32)
+    any.unwrap_or([0.0, 0.0, 1.0]).map(|x| x as f32 + 0.0)
 }
 
 fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -330,6 +350,28 @@ mod tests {
             let own = triangle.map(|w| made.wedges[w as usize]);
             assert_eq!(own.map(|w| w.position), triangles[t]);
             assert!(own.iter().all(|w| w.normal == own[0].normal && w.normal.contains(&0.0)));
+        }
+    }
+
+    #[test]
+    fn triangles_of_any_size_have_unit_normals() {
+        for size in [1e-300, 1e-170, 1e-100, 1e-30, 1.0, 1e29] {
+            for b in [[0.0, size, 0.0], [size, 1e-3 * size, 0.0], [0.0, 1e-30, 0.0]] {
+                let positions = [[0.0; 3], [size, 0.0, 0.0], b];
+                let corners = Corners::new(&[[0, 1, 2]], 3);
+                let surface = Surface {
+                    positions: &positions,
+                    triangles: &[[0, 1, 2]],
+                    corners: &corners,
+                    records: &[],
+                    normals: &[],
+                    colors: &[],
+                };
+                for weight in [NormalWeight::Angle, NormalWeight::Area] {
+                    let made = wedges(&surface, &NormalOptions { weight, ..NormalOptions::default() });
+                    assert!(made.wedges.iter().all(|w| w.normal == [0.0, 0.0, 1.0]), "{size} {b:?} {:?}", made.wedges);
+                }
+            }
         }
     }
 
