@@ -213,8 +213,8 @@ fn parse_header(bytes: &[u8]) -> Result<Header, Fault> {
     let end = header.directory_offset.checked_add(header.directory_length);
     let fits = end == Some(header.file_length)
         && header.directory_offset >= size_of::<Header>() as u64
-        && header.directory_offset % ALIGNMENT == 0
-        && header.directory_length % size_of::<SectionRecord>() as u64 == 0
+        && header.directory_offset.is_multiple_of(ALIGNMENT)
+        && header.directory_length.is_multiple_of(size_of::<SectionRecord>() as u64)
         && header.directory_length / size_of::<SectionRecord>() as u64 <= MAX_SECTIONS;
     if fits { Ok(header) } else { Err(malformed("the header", "the directory is not where it can be")) }
 }

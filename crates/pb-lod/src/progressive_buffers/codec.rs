@@ -111,7 +111,9 @@ const PREFIX_BYTES: usize = 8;
 /// If the chunk breaks a limit of the format: it would not be read back.
 pub fn encode_chunk(chunk: &Chunk) -> Vec<u8> {
     let shape = chunk.shape();
-    assert!(shape.end_vertex <= MAX_VERTICES && shape.triangles <= MAX_TRIANGLES && chunk.indices.len() % 3 == 0);
+    assert!(
+        shape.end_vertex <= MAX_VERTICES && shape.triangles <= MAX_TRIANGLES && chunk.indices.len().is_multiple_of(3)
+    );
     check(chunk).expect("a chunk's indices and parents are in range");
     let stored: Vec<Stored> = chunk.vertices.iter().map(|v| store(v, shape)).collect();
     let rotated: Vec<u32> = chunk.indices.iter().map(|&i| rotate(i as u32, shape)).collect();

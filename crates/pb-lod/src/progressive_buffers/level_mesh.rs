@@ -60,12 +60,8 @@ impl Welder {
             self.sums.push(Sum::default());
         }
         let sum = &mut self.sums[index as usize];
-        for k in 0..3 {
-            sum.normal[k] += normal[k];
-        }
-        for k in 0..4 {
-            sum.color[k] += color[k] as u32;
-        }
+        sum.normal.iter_mut().zip(normal).for_each(|(s, n)| *s += n);
+        sum.color.iter_mut().zip(color).for_each(|(s, c)| *s += c as u32);
         sum.records += 1;
         index
     }

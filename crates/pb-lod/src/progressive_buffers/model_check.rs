@@ -11,6 +11,8 @@ type Check = Result<(), (String, String)>;
 
 /// Most neighbours of a cluster: border slots have 8 bits and 0 means none.
 pub const MAX_NEIGHBOURS: u32 = 255;
+/// Grid coordinates lie within plus and minus this: sums and differences of two fit i32.
+pub const MAX_GRID: i32 = 1 << 30;
 /// Largest shift: offsets of 16 bits stay inside 31 bits.
 pub const MAX_SHIFT: u32 = 15;
 
@@ -28,6 +30,10 @@ fn ensure(holds: bool, what: impl FnOnce() -> String, why: &str) -> Check {
     if holds { Ok(()) } else { Err((what(), why.into())) }
 }
 
+fn on_grid(p: [i32; 3]) -> bool {
+    p.iter().all(|x| (-MAX_GRID..=MAX_GRID).contains(x))
+}
+
 fn check_record(model: &Model) -> Check {
     let r = model.record();
     let what = || "the model record".to_string();
@@ -38,6 +44,7 @@ fn check_record(model: &Model) -> Check {
     let power_of_two = r.quantum.is_normal() && r.quantum > 0.0 && r.quantum.to_bits() << 12 == 0;
     ensure(power_of_two, what, "the quantum is not a power of two")?;
     ensure((0..3).all(|k| r.bounds_min[k] <= r.bounds_max[k]), what, "the bounds are empty")?;
+    ensure(on_grid(r.bounds_min) && on_grid(r.bounds_max), what, "the bounds are beyond 2^30 quanta")?;
     let known = r.flags & !FLAG_COLORS == 0 && r.reserved == [0; 5];
     ensure(known, what, "reserved bits or bytes are not zero")
 }
@@ -65,6 +72,7 @@ fn check_clusters(model: &Model) -> Check {
     for (id, c) in model.clusters().iter().enumerate() {
         let what = || format!("cluster {id}");
         ensure(c.shift <= MAX_SHIFT, what, "the shift is more than 15")?;
+        ensure(on_grid(c.origin) && on_grid(c.center), what, "its origin or centre is beyond 2^30 quanta")?;
         ensure(c.radius.is_finite() && c.radius >= 0.0, what, "the radius is not a finite length")?;
         ensure(c.reserved == [0; 2], what, "reserved bytes are not zero")?;
         ensure(c.neighbours_count <= MAX_NEIGHBOURS, what, "it has more than 255 neighbours")?;
@@ -122,6 +130,7 @@ fn check_nodes(model: &Model) -> Check {
     for (id, n) in nodes.iter().enumerate() {
         let what = || format!("hierarchy node {id}");
         let plain = n.radius.is_finite() && n.radius >= 0.0 && n.error.is_finite() && n.error >= 0.0;
+        ensure(on_grid(n.center), what, "its centre is beyond 2^30 quanta")?;
         ensure(plain && n.reserved == 0, what, "a number in it is not finite or not zero where it must be")?;
         if n.cluster_count == 1 {
             ensure(n.left == u32::MAX && n.right == u32::MAX, what, "one cluster, but it has children")?;
