@@ -126,11 +126,34 @@ pub fn topology(triangles: &[[u32; 3]], corners: &Corners) -> Topology {
     })
 }
 
+/// An edge at a vertex, seen from one corner: other end, slot among the vertex' corners, whether the triangle runs
+/// along it away from the vertex. One number, so that sorting is quick.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Spoke(u64);
+
+impl Spoke {
+    fn new(end: u32, slot: usize, leaves: bool) -> Spoke {
+        Spoke(u64::from(end) << 32 | (slot as u64) << 1 | u64::from(leaves))
+    }
+
+    fn end(self) -> u32 {
+        (self.0 >> 32) as u32
+    }
+
+    fn slot(self) -> usize {
+        (self.0 as u32 >> 1) as usize
+    }
+
+    fn leaves(self) -> bool {
+        self.0 & 1 == 1
+    }
+}
+
 /// The edges around one vertex; kept between vertices for its buffers.
 #[derive(Default)]
 pub struct Star {
-    /// (other end, slot in the vertex' corners, leaves the vertex) of both edges of each corner, in this order.
-    spokes: Vec<(u32, u32, bool)>,
+    /// Both edges of each corner, in order of their other ends.
+    spokes: Vec<Spoke>,
     fan: Vec<u32>,
 }
 
@@ -140,8 +163,8 @@ impl Star {
         self.spokes.clear();
         for (slot, &corner) in incident.iter().enumerate() {
             let (next, previous) = next_and_previous(triangles, corner);
-            self.spokes.push((next, slot as u32, true));
-            self.spokes.push((previous, slot as u32, false));
+            self.spokes.push(Spoke::new(next, slot, true));
+            self.spokes.push(Spoke::new(previous, slot, false));
         }
         self.spokes.sort_unstable();
     }
@@ -152,8 +175,9 @@ impl Star {
         self.fan.clear();
         self.fan.extend(0..count as u32);
         for pair in self.spokes.windows(2) {
-            if pair[0].0 == pair[1].0 && smooth(pair[0].1 as usize, pair[1].1 as usize) {
-                let (a, b) = (root(&mut self.fan, pair[0].1), root(&mut self.fan, pair[1].1));
+            let (a, b) = (pair[0].slot(), pair[1].slot());
+            if pair[0].end() == pair[1].end() && smooth(a, b) {
+                let (a, b) = (root(&mut self.fan, a as u32), root(&mut self.fan, b as u32));
                 self.fan[a.max(b) as usize] = a.min(b);
             }
         }
@@ -167,8 +191,8 @@ impl Star {
     fn examine(&mut self, triangles: &[[u32; 3]], vertex: u32, incident: &[u32]) -> Topology {
         self.gather(triangles, incident);
         let mut found = Topology::default();
-        for edge in self.spokes.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge[0].0 > vertex) {
-            let leaving = edge.iter().filter(|spoke| spoke.2).count();
+        for edge in self.spokes.chunk_by(|a, b| a.end() == b.end()).filter(|edge| edge[0].end() > vertex) {
+            let leaving = edge.iter().filter(|spoke| spoke.leaves()).count();
             match (edge.len(), leaving) {
                 (1, _) => found.boundary_edges += 1,
                 (2, 1) => {}
