@@ -161,10 +161,9 @@ impl<'a> Around<'a> {
         }
         let begin = part.wedges.len();
         self.made.clear();
-        for slot in 0..incident.len() {
-            let record = self.surface.records.as_flattened().get(incident[slot] as usize).map(|&r| r as usize);
-            let given =
-                record.and_then(|r| self.surface.normals.get(r)).map_or(Err(Origin::Missing), |n| normalised(n));
+        for (slot, &corner) in incident.iter().enumerate() {
+            let record = self.surface.records.as_flattened().get(corner as usize).map(|&r| r as usize);
+            let given = record.and_then(|r| self.surface.normals.get(r)).map_or(Err(Origin::Missing), normalised);
             let (normal, origin) = match given {
                 Ok(normal) => (normal, Origin::Input),
                 Err(origin) => (self.made_normal(vertex, slot), origin),

@@ -295,7 +295,7 @@ impl<'a> ObjLines<'a> {
             return Ok(());
         }
         self.faces += 1;
-        if self.faces % FACES_PER_OBJECT == 0 && self.ahead.0 == 0 {
+        if self.faces.is_multiple_of(FACES_PER_OBJECT) && self.ahead.0 == 0 {
             self.out.extend_from_slice(b"o next\n");
         }
         self.out.push(b'f');

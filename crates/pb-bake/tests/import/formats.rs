@@ -124,7 +124,7 @@ fn a_missing_or_outside_material_library_is_a_warning() {
 
 #[test]
 fn large_coordinates_keep_their_detail_in_every_format_that_has_it() {
-    let place = [500_123.456_789, 4_649_776.223_456, 1234.000_001];
+    let place = [500_123.456_789, 4_649_776.223_456, 1_234.000_001];
     let row = |x: f64| format!("{} {} {}", place[0] + x, place[1] + x * x, place[2]);
     let obj = format!("v {}\nv {}\nv {}\nf 1 2 3\n", row(0.0), row(1.0), row(2.0));
     assert_eq!(read(Format::Obj, obj).positions[0], place);
