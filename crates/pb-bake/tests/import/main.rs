@@ -42,6 +42,14 @@ fn repaired(soup: Soup) -> (Mesh, RepairReport) {
     repair(soup, &RepairOptions::default()).unwrap()
 }
 
+/// Places that the mesh has a position at. Positions at non-manifold places may be split into several.
+fn place_count(mesh: &Mesh) -> usize {
+    let mut places: Vec<[u64; 3]> = mesh.positions.iter().map(|p| p.map(f64::to_bits)).collect();
+    places.sort_unstable();
+    places.dedup();
+    places.len()
+}
+
 /// Fails unless the message has all the parts.
 #[track_caller]
 fn assert_says(message: &str, parts: &[&str]) {
