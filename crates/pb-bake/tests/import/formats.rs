@@ -63,13 +63,15 @@ fn obj_corners_with_and_without_normals_stand_side_by_side() {
 
 #[test]
 fn obj_with_many_faces_is_read_in_parts_without_losing_any() {
-    let mut text = String::from("v 0 0 0\n");
+    let mut text = String::from("v 0 0 0\nv 0 1 0\n");
     let count = 300_000;
-    for i in 0..count {
-        text.push_str(&format!("v {} 0 1\nv {} 1 0\nf 1 -2 -1\n", i, i));
+    for i in 1..=count {
+        let face = if i % 2 == 0 { "-3 -2 -1" } else { "-2 -3 -1" };
+        text.push_str(&format!("v {i} {} 0\nf {face}\n", i % 2));
     }
-    let (mesh, _) = repaired(read(Format::Obj, &text));
-    assert_eq!((mesh.triangles.len(), place_count(&mesh)), (count, 2 * count + 1));
+    let (mesh, report) = repaired(read(Format::Obj, &text));
+    assert_eq!((mesh.triangles.len(), place_count(&mesh)), (count, count + 2));
+    assert_eq!(report.topology.boundary_edges, count as u64 + 2);
 }
 
 #[test]
