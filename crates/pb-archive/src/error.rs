@@ -18,11 +18,6 @@ impl ArchiveError {
     pub fn new(path: &Path, fault: Fault) -> Self {
         Self { path: path.to_owned(), fault }
     }
-
-    /// True when the machine is at fault (permissions, disk full), false when the file is.
-    pub fn is_machine(&self) -> bool {
-        matches!(self.fault, Fault::Io { .. } | Fault::NoFolder | Fault::NotAFile | Fault::NotReplaced)
-    }
 }
 
 /// What is wrong with an archive or with the place where one is to be written.

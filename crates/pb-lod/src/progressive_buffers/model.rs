@@ -50,13 +50,6 @@ pub enum ModelError {
     },
 }
 
-impl ModelError {
-    /// True when the machine is at fault (permissions, disk), false when the file is.
-    pub fn is_machine(&self) -> bool {
-        matches!(self, ModelError::Archive(e) if e.is_machine())
-    }
-}
-
 /// What is wrong with a chunk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ChunkFault {
