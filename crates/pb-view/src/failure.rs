@@ -25,7 +25,29 @@ pub fn exit_code(result: &anyhow::Result<Outcome>) -> u8 {
 
 fn is_input(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| {
-        cause.downcast_ref::<ModelError>().is_some_and(|e| !e.is_machine())
+        cause.is::<ModelError>()
             || cause.downcast_ref::<FlypathError>().is_some_and(|e| !matches!(e, FlypathError::Write { .. }))
     })
+}
+
+/// What went wrong, from the outside in; causes that repeat what was said already are left out.
+pub fn message(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
+        "" => cause,
+        _ if said.contains(&cause) => said,
+        _ => format!("{said}: {cause}"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_told_once() {
+        let error = anyhow::anyhow!("the disk is full").context("a.csv: cannot write: the disk is full");
+        assert_eq!(message(&error), "a.csv: cannot write: the disk is full");
+        let error = anyhow::anyhow!("the disk is full").context("a.csv: cannot write");
+        assert_eq!(message(&error), "a.csv: cannot write: the disk is full");
+    }
 }

@@ -1,7 +1,9 @@
 //! Whole-program tests of pb-view.
 
 mod cracks;
+mod exports;
 mod headless;
+mod mistakes;
 mod pops;
 mod reference;
 mod support;

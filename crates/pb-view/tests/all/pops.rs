@@ -1,7 +1,7 @@
 //! Nothing pops: on a slow flight neighbouring frames differ hardly more than those of the full mesh.
 
 use crate::reference::Reference;
-use crate::support::{adapter, camera, column, folder, hilly, pb_view, read_frame, write_flight};
+use crate::support::{adapter, camera, column, folder, hilly, pb_view, read_frame, text, write_flight};
 use pb_render::Samples;
 use pb_view::flypath::Flypath;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,6 @@ fn fly(name: &str, more: &[&str]) -> PathBuf {
     flight(&path);
     let stats = out.join("stats.csv");
     let size = format!("{}x{}", SIZE[0], SIZE[1]);
-    let text = |p: &Path| p.to_str().expect("the target folder has a plain name").to_owned();
     let (archive, path, frames, stats) = (text(hilly()), text(&path), text(&out), text(&stats));
     let mut words = vec![
         archive.as_str(),

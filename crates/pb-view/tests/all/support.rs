@@ -79,6 +79,21 @@ pub fn torus() -> &'static Path {
     PATH.get_or_init(|| baked("torus.pb", bumpy_torus(256, [0.0; 3]), 5))
 }
 
+/// The archive of a bumpy torus of 18 432 triangles, baked once per test run.
+pub fn small_torus() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| baked("small_torus.pb", bumpy_torus(96, [0.0; 3]), 4))
+}
+
+/// The same torus at UTM coordinates, baked once per test run.
+pub fn far_torus() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| baked("far_torus.pb", bumpy_torus(96, FAR), 4))
+}
+
+/// Where the far torus lies.
+pub const FAR: [f64; 3] = [500_000.0, 100.0, 4_500_000.0];
+
 /// The archive of 33 800 triangles of hills, baked once per test run.
 pub fn hilly() -> &'static Path {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
@@ -125,6 +140,21 @@ pub struct Run {
     pub code: i32,
     pub stdout: String,
     pub stderr: String,
+}
+
+/// A path as a word of a command line.
+pub fn text(path: &Path) -> String {
+    path.to_str().expect("the target folder has a plain name").to_owned()
+}
+
+/// Runs pb-view with the words of this line; words that name files follow as `{}`, in order.
+pub fn pb_view_line(line: &str, paths: &[&Path]) -> Run {
+    let mut paths = paths.iter();
+    let words = line.split_whitespace().map(|word| match word.split_once("{}") {
+        Some((before, after)) => format!("{before}{}{after}", text(paths.next().expect("a path for each {}"))),
+        None => word.to_owned(),
+    });
+    pb_view(&words.collect::<Vec<_>>())
 }
 
 /// Runs pb-view with these words.
