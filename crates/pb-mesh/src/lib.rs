@@ -8,4 +8,5 @@ pub mod normals;
 pub mod corners;
 pub mod segment;
 pub mod simplify;
+pub mod split;
 pub mod topology;

@@ -8,6 +8,7 @@
 use crate::corners::{Corners, Topology, duplicate_triangles, topology};
 use crate::mesh::{Mesh, Soup};
 use crate::normals::{NormalOptions, Surface, wedges};
+use crate::split::split_non_manifold;
 use crate::weld::{weld_exact, weld_within};
 use rayon::prelude::*;
 
@@ -71,7 +72,9 @@ pub struct RepairReport {
     pub normals_repaired: u64,
     /// Whether all normals were made because those of the input were only those of the facets.
     pub facet_normals_replaced: bool,
-    /// Borders and non-manifold places of the result.
+    /// Positions added so that every sheet of a non-manifold place has its own.
+    pub positions_split: u64,
+    /// Borders and non-manifold places before they were split.
     pub topology: Topology,
 }
 
@@ -169,7 +172,10 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
     let made = wedges(&surface, &normal_options);
     report.normals_made = made.normals_made;
     report.normals_repaired = made.normals_repaired;
-    let mesh = Mesh { wedges: made.wedges, triangles: made.triangles, has_colors: !colors.is_empty(), positions };
+    let mut mesh = Mesh { wedges: made.wedges, triangles: made.triangles, has_colors: !colors.is_empty(), positions };
+    if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
+        report.positions_split = split_non_manifold(&mut mesh);
+    }
     Ok((mesh, report))
 }
 

@@ -23,6 +23,10 @@ const TARGET_TOLERANCE: f64 = 1.004;
 const MAX_ROUNDS: usize = 64;
 /// Share of the remaining way (in log counts) that one round aims for while far from the target.
 const FAR_STEP: f64 = 0.75;
+/// How much faster than the squared ratio a level's cost limit may rise above the one before.
+const MAX_RISE: f64 = 16.0;
+/// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
+const FREE_ERROR: f64 = 2e-3;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.
 const VANISH_SHARE: f32 = 0.25;
 
@@ -70,9 +74,10 @@ impl Collapses {
 /// Simplifies to `levels` levels, each with `1 / ratio` of the positions of the one before.
 pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
     let component = components(input.positions.len(), input.triangles);
+    let area = mean_area(input);
     let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len())
         .into_par_iter()
-        .map(|c| Mutex::new(Patch::new(patch_input(input, &component, c as u32))))
+        .map(|c| Mutex::new(Patch::new(patch_input(input, &component, area, c as u32))))
         .collect();
     let seams = color_seams(build_seams(input, &patches));
     let mut counts = vec![input.positions.len()];
@@ -81,6 +86,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     for level in 0..levels - 1 {
         alive -= patches.iter().map(|p| lock(p).bury_points(level as u8)).sum::<usize>();
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
+        search.start_level(level, ratio);
         for round in 0..MAX_ROUNDS {
             if alive as f64 <= target * TARGET_TOLERANCE || search.exhausted() {
                 break;
@@ -95,6 +101,17 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         counts.push(alive);
     }
     collect(&patches, input.positions.len(), levels, counts, component)
+}
+
+/// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
+fn mean_area(input: &UnisonInput) -> f32 {
+    const BLOCK: usize = 1 << 14;
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| glam::IVec3::from_array(input.positions[v as usize]).as_dvec3());
+        (b - a).cross(c - a).length()
+    };
+    let blocks: Vec<f64> = input.triangles.par_chunks(BLOCK).map(|b| b.iter().map(area).sum()).collect();
+    (blocks.iter().sum::<f64>() * 3.0 / input.positions.len() as f64).max(1.0) as f32
 }
 
 fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
@@ -127,7 +144,10 @@ fn run_round(patches: &[Mutex<Patch>], seams: &[Vec<Seam>], limit: f32, level: u
 /// The cost limit of the rounds, steered so that counts come down on their targets from above.
 struct Search {
     limit: f32,
+    /// Limit of this level: a mesh whose shape does not allow the target keeps more vertices instead of its worst.
     end: f32,
+    /// Squared diagonal of the model.
+    diagonal: f32,
     last: Option<(f64, f64)>,
     slope: f64,
 }
@@ -143,8 +163,18 @@ impl Search {
                 hi[k] = hi[k].max(p[k]);
             }
         }
-        let end = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
-        Search { limit: limit.max(f32::MIN_POSITIVE), end, last: None, slope: -0.5 }
+        let diagonal = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
+        Search { limit: limit.max(f32::MIN_POSITIVE), end: diagonal, diagonal, last: None, slope: -0.5 }
+    }
+
+    /// Sets how far the limit may rise at a level. On smooth surfaces it rises by the squared ratio.
+    fn start_level(&mut self, level: usize, ratio: f64) {
+        let natural = match level {
+            0 => 0.0,
+            _ => f64::from(self.limit) * ratio * ratio * MAX_RISE,
+        };
+        let always = f64::from(self.diagonal) * (FREE_ERROR * ratio.powi(level as i32)).powi(2);
+        self.end = (natural.max(always) as f32).min(self.diagonal);
     }
 
     fn exhausted(&self) -> bool {
@@ -176,7 +206,7 @@ fn cost_of_rank(patches: &[Mutex<Patch>], rank: usize) -> Option<f32> {
     (rank < costs.len()).then(|| *costs.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-fn patch_input(input: &UnisonInput, component: &[u32], c: u32) -> PatchInput {
+fn patch_input(input: &UnisonInput, component: &[u32], mean_area: f32, c: u32) -> PatchInput {
     let triangles = input.segmentation.cluster(c as usize);
     let mut global: Vec<u32> = triangles.iter().flat_map(|&t| input.triangles[t as usize]).collect();
     global.sort_unstable();
@@ -211,6 +241,7 @@ fn patch_input(input: &UnisonInput, component: &[u32], c: u32) -> PatchInput {
         normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
         components: small_components(&global, component, &positions, &shared_start),
         positions,
+        mean_area,
         shared_start,
         shared,
         global,

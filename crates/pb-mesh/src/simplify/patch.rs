@@ -36,6 +36,8 @@ pub(super) struct PatchInput {
     /// Other clusters that use a vertex: `shared[shared_start[v]..shared_start[v + 1]]`, ascending.
     pub shared_start: Vec<u32>,
     pub shared: Vec<u32>,
+    /// Mean area that a position's quadric starts with, in the whole mesh.
+    pub mean_area: f32,
     /// Vertices of small components that may vanish as a whole, with their squared diameter.
     pub components: Vec<(f32, Vec<u32>)>,
 }
@@ -215,17 +217,21 @@ impl Patch {
         }
     }
 
-    /// Cost of moving `v` onto `u`, squared quanta: mean squared distance to the planes merged into `v`, and
-    /// the bend of the normals.
+    /// Cost of moving `v` onto `u`, squared quanta: distance to the planes merged into `v`, and the bend of normals.
     pub fn cost(&self, v: u32, u: u32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d)
     }
 
-    /// Mean squared distance at offset `d` from `v`, and the area it is the mean over.
+    /// Squared distance at offset `d` from `v`, and the area of the planes behind it. Between the mean over those planes,
+    /// which keeps the largest distance down, and their sum, which keeps the mean over the whole surface down.
     pub fn geometric_cost(&self, v: u32, d: Vec3) -> (f32, f32) {
         let q = &self.quadrics[v as usize];
-        (if q.weight > 0.0 { q.at(d) / q.weight } else { 0.0 }, q.weight)
+        if q.weight > 0.0 {
+            (q.at(d) / q.weight * (1.0 + (q.weight / self.input.mean_area).sqrt()), q.weight)
+        } else {
+            (0.0, 0.0)
+        }
     }
 
     /// Cost of the normals' bend and of plain length.
@@ -270,29 +276,49 @@ impl Patch {
         count
     }
 
-    /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet.
+    /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet. The cost is
+    /// raised here where one triangle would turn far out of its plane, which the mean over all planes can hide.
     fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
         self.gather(v);
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
         candidates.extend(self.ring.iter().filter(|&&u| self.allowed(v, u)).map(|&u| (self.cost(v, u), u)));
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        self.best[v as usize] = (f32::INFINITY, NONE);
-        let mut done = false;
-        for (i, &(cost, u)) in candidates.iter().enumerate() {
-            let turn = self.queue.peek().is_none_or(|top| cost.to_bits() <= top.0.0);
-            if i > 0 && !turn {
-                self.enqueue(v, (cost, u));
+        let turn = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
+        let mut best = (f32::INFINITY, NONE);
+        for &(cost, u) in &candidates {
+            if cost >= best.0 || best.0 <= turn {
                 break;
             }
-            if self.legal(v, u, NONE) {
-                self.apply(v, u, level);
-                done = true;
-                break;
+            let raised = cost.max(self.largest_turn(v, u));
+            if raised < best.0 && self.legal(v, u, NONE) {
+                best = (raised, u);
             }
         }
         self.candidates = candidates;
-        done
+        self.best[v as usize] = (f32::INFINITY, NONE);
+        if best.1 == NONE {
+            return false;
+        }
+        if best.0 > turn {
+            self.enqueue(v, best);
+            return false;
+        }
+        self.apply(v, best.1, level);
+        true
+    }
+
+    /// Largest squared distance of `u` from the planes of the triangles around `v`.
+    pub fn largest_turn(&self, v: u32, u: u32) -> f32 {
+        let p = |x: u32| self.input.positions[x as usize];
+        let d = p(u) - p(v);
+        let height = |c: u32| {
+            let (a, b) = self.spokes(c);
+            let n = (p(a) - p(v)).cross(p(b) - p(v));
+            let square = n.length_squared();
+            if square > 0.0 { n.dot(d).powi(2) / square } else { 0.0 }
+        };
+        self.corners(v).map(height).fold(0.0, f32::max)
     }
 
     /// Does the collapse keep the surface a manifold with the same borders, and turn no triangle over?
@@ -484,17 +510,17 @@ impl Patch {
 
     /// Points left by components that vanished at an earlier level die: nothing draws them any more.
     pub fn bury_points(&mut self, level: u8) -> usize {
-        let points = std::mem::take(&mut self.points);
+        let mut points = std::mem::take(&mut self.points);
+        points.sort_unstable();
+        let mut heirs: Vec<u32> = (0..self.death.len() as u32).filter(|&h| self.death[h as usize] == u8::MAX).collect();
+        if !points.is_empty() {
+            heirs.retain(|h| points.binary_search(h).is_err());
+        }
         let mut count = 0;
-        for v in points.iter().copied() {
+        for &v in &points {
             let p = self.input.positions[v as usize];
-            let heir = (0..self.death.len() as u32)
-                .filter(|h| self.death[*h as usize] == u8::MAX && !points.contains(h))
-                .min_by(|&a, &b| {
-                    let d = |h: u32| self.input.positions[h as usize].distance_squared(p);
-                    d(a).total_cmp(&d(b))
-                });
-            match heir {
+            let distance = |h: u32| self.input.positions[h as usize].distance_squared(p);
+            match heirs.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b))) {
                 Some(heir) => {
                     self.bury(v, heir, level);
                     count += 1;

@@ -6,6 +6,7 @@
 use pb_mesh::segment::Segmentation;
 use pb_mesh::topology::Fans;
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// Largest offset of a vertex from its cluster's origin, in steps.
 const MAX_OFFSET: i64 = 65_535;
@@ -52,7 +53,8 @@ pub(super) fn snap(
     let origin = std::array::from_fn(|k| ((lo[k] * 0.5 + hi[k] * 0.5) / quantum).round() * quantum);
     let mut shifts: Vec<u32> = extents.iter().map(|e| shift_for((e / quantum) as i64 + 2)).collect();
     loop {
-        let points = snap_points(positions, origin, quantum, cluster_of, fans, &shifts);
+        let mut points = snap_points(positions, origin, quantum, cluster_of, fans, &shifts);
+        part_equal(&mut points, cluster_of, fans, &shifts);
         let needed: Vec<u32> = (0..clusters.len())
             .into_par_iter()
             .map(|c| {
@@ -112,6 +114,40 @@ fn snap_points(
             std::array::from_fn(|k| (((p[k] - origin[k]) / step).round() as i32) << shift)
         })
         .collect()
+}
+
+/// The step that all clusters of a position can store.
+fn coarsest_step(v: u32, cluster_of: &[u32], fans: &Fans, shifts: &[u32]) -> u32 {
+    fans.around(v).iter().map(|&t| shifts[cluster_of[t as usize] as usize]).max().unwrap_or(0)
+}
+
+/// Gives positions that fell on one grid point, such as the split sheets of a non-manifold place, points of their own,
+/// the nearest free ones: a grid point names one position in the whole archive.
+fn part_equal(points: &mut [[i32; 3]], cluster_of: &[u32], fans: &Fans, shifts: &[u32]) {
+    let mut order: Vec<u32> = (0..points.len() as u32).collect();
+    order.par_sort_unstable_by_key(|&v| (points[v as usize], v));
+    let equal = |w: &[u32]| points[w[0] as usize] == points[w[1] as usize];
+    let doubles: Vec<u32> = order.windows(2).filter(|w| equal(w)).map(|w| w[1]).collect();
+    if doubles.is_empty() {
+        return;
+    }
+    let mut taken: HashSet<[i32; 3]> = points.iter().copied().collect();
+    for v in doubles {
+        let step = 1 << coarsest_step(v, cluster_of, fans, shifts);
+        let p = points[v as usize];
+        let free = (1..).find_map(|radius| {
+            shell(radius).map(|d| std::array::from_fn(|k| p[k] + d[k] * step)).find(|q| !taken.contains(q))
+        });
+        points[v as usize] = free.expect("shells grow until a point is free");
+        taken.insert(points[v as usize]);
+    }
+}
+
+/// The grid offsets at Chebyshev distance `radius`, in a fixed order.
+fn shell(radius: i32) -> impl Iterator<Item = [i32; 3]> {
+    let line = move || -radius..=radius;
+    let cube = line().flat_map(move |x| line().flat_map(move |y| line().map(move |z| [x, y, z])));
+    cube.filter(move |d| d.iter().any(|c| c.abs() == radius))
 }
 
 fn errors(
