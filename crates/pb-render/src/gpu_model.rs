@@ -5,6 +5,7 @@
 
 use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, ModelRecord, Vertex};
+use pb_lod::progressive_buffers::model::FLAG_COLORS;
 use wgpu::BufferUsages;
 
 use crate::error::RenderError;
@@ -119,6 +120,7 @@ impl VramPlan {
 pub struct GpuModel {
     pub(crate) levels: u32,
     pub(crate) clusters: u32,
+    pub(crate) has_colors: bool,
     pub(crate) heap_buffer: wgpu::Buffer,
     pub(crate) cluster_buffer: wgpu::Buffer,
     pub(crate) level_buffer: wgpu::Buffer,
@@ -159,6 +161,7 @@ impl GpuModel {
         let mut out = Self {
             levels: t.model.levels,
             clusters: t.model.clusters,
+            has_colors: t.model.flags & FLAG_COLORS != 0,
             heap_buffer: buffer("heap", plan.heap_units * UNIT_BYTES, heap_usage),
             cluster_buffer: buffer("clusters", clusters * size_of::<ClusterGpu>() as u64, storage),
             level_buffer: buffer("levels", chunks * size_of::<LevelGpu>() as u64, storage),

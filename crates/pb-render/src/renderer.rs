@@ -136,7 +136,8 @@ impl Renderer {
             color_mode: scene.style.color as u32,
             show_back_faces: scene.style.show_back_faces as u32,
             morph: if scene.style.morph { 1.0 } else { 0.0 },
-            reserved: [0; 2],
+            has_colors: self.model.has_colors as u32,
+            reserved: 0,
         };
         gpu.queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
     }

@@ -24,8 +24,10 @@ pub struct ViewUniform {
     pub show_back_faces: u32,
     /// 1, or 0 to snap between levels.
     pub morph: f32,
+    /// 1 where vertices carry colours; else surfaces are grey.
+    pub has_colors: u32,
     /// Zero.
-    pub reserved: [u32; 2],
+    pub reserved: u32,
 }
 
 /// `Cluster` in display.wgsl.

@@ -17,7 +17,9 @@ struct View {
     show_back_faces: u32,
     // 1; 0 switches the morph off, so that levels snap.
     morph: f32,
-    reserved: vec2<u32>,
+    // 1 where vertices carry colours; else surfaces are grey.
+    has_colors: u32,
+    reserved: u32,
 }
 
 struct Cluster {

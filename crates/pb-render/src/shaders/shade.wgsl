@@ -44,7 +44,10 @@ fn shaded(f: Fragment, front: bool, triangle: u32) -> vec4<f32> {
     if view.show_back_faces != 0u && from_behind(f, front, 0.25) {
         return vec4<f32>(1.0, 0.0, 1.0, 1.0);
     }
-    var albedo = srgb_to_linear(clamp(f.color.rgb, vec3<f32>(0.0), vec3<f32>(1.0)));
+    var albedo = vec3<f32>(0.58, 0.56, 0.53);
+    if view.has_colors != 0u {
+        albedo = srgb_to_linear(clamp(f.color.rgb, vec3<f32>(0.0), vec3<f32>(1.0)));
+    }
     switch view.color_mode {
         case 1u: { albedo = color_of_level(f.draw & 15u); }
         case 2u: { albedo = color_of(f.draw >> 4u); }

@@ -40,7 +40,7 @@ impl RandomModel {
     pub fn new(seed: u64, clusters: u32, levels: u32) -> Self {
         let mut random = Random(seed);
         let mut out = Self {
-            model: ModelRecord { quantum: 1.0 / 1024.0, levels, clusters, ..ModelRecord::zeroed() },
+            model: ModelRecord { quantum: 1.0 / 1024.0, levels, clusters, flags: 1, ..ModelRecord::zeroed() },
             clusters: Vec::new(),
             levels: Vec::new(),
             neighbours: Vec::new(),

@@ -54,6 +54,7 @@ fn structs_lie_in_memory_as_the_shader_reads_them() {
         color_mode,
         show_back_faces,
         morph,
+        has_colors,
         reserved
     );
     assert_eq!(wgsl_layout(&module, "View"), view);

@@ -1,6 +1,6 @@
 //! Headless flights from outside: frames, statistics, bounds, and the same pictures on every run.
 
-use crate::reference::Reference;
+use crate::reference::{Look, Reference};
 use crate::support::{
     FAR, adapter, camera, column, far_torus, folder, pb_view_line, read_frame, small_torus, torus, write_flight,
 };
@@ -70,7 +70,7 @@ fn at_a_tiny_error_the_picture_is_that_of_the_full_mesh() {
     let mut reference = Reference::new(&gpu, torus(), [320, 240], Samples::One);
     let flight = Flypath::open(&path).unwrap();
     for frame in 0..flight.frames() {
-        let full = reference.picture(&camera(&flight.at(flight.time(frame))), false);
+        let full = reference.picture(&camera(&flight.at(flight.time(frame))), Look::Shaded);
         let rgb: Vec<u8> = full.chunks_exact(4).flat_map(|p| &p[..3]).copied().collect();
         let full = image::RgbImage::from_raw(320, 240, rgb).unwrap();
         let apart = pixels_apart(&full, &read_frame(&out, frame), 3);

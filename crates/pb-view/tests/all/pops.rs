@@ -1,6 +1,6 @@
 //! Nothing pops: on a slow flight neighbouring frames differ hardly more than those of the full mesh.
 
-use crate::reference::Reference;
+use crate::reference::{Look, Reference};
 use crate::support::{adapter, camera, column, folder, hilly, pb_view, read_frame, text, write_flight};
 use pb_render::Samples;
 use pb_view::flypath::Flypath;
@@ -72,7 +72,7 @@ fn late_data_and_level_changes_are_as_smooth_as_the_full_mesh_and_only_because_o
     let path = flight(&late.join("flight.json"));
     let mut reference = Reference::new(&gpu, hilly(), SIZE, Samples::Four);
     let full: Vec<Vec<u8>> =
-        (0..path.frames()).map(|f| reference.picture(&camera(&path.at(path.time(f))), false)).collect();
+        (0..path.frames()).map(|f| reference.picture(&camera(&path.at(path.time(f))), Look::Shaded)).collect();
     let full = full.windows(2).map(|p| largest_change(&p[0], &p[1])).max().unwrap_or(0);
     let missing = column(&late.join("stats.csv"), "missing_chunks").iter().filter(|m| **m > 0.0).count();
     assert!(missing > 100, "data was late in only {missing} frames");

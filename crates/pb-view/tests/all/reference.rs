@@ -6,7 +6,7 @@ use pb_render::{BACKGROUND_SRGB, Camera, DEPTH_FORMAT, Gpu, Offscreen, Samples};
 use std::path::Path;
 
 const WGSL: &str = "
-struct View { clip_from_eye: mat4x4<f32>, sun: vec3<f32>, show_back_faces: u32 }
+struct View { clip_from_eye: mat4x4<f32>, sun: vec3<f32>, look: u32, has_colors: u32 }
 @group(0) @binding(0) var<uniform> view: View;
 struct Fragment {
     @builtin(position) clip: vec4<f32>,
@@ -24,7 +24,8 @@ fn linear(c: f32) -> f32 {
 }
 @fragment
 fn fs(f: Fragment, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
-    if !front && view.show_back_faces == 1u { return vec4<f32>(1.0, 0.0, 1.0, 1.0); }
+    if !front && view.look == 1u { return vec4<f32>(1.0, 0.0, 1.0, 1.0); }
+    if view.look == 2u { return vec4<f32>(vec3<f32>(1.0 / (1.0 + length(f.position))), 1.0); }
     let to_eye = normalize(-f.position);
     let flip = !front && dot(f.normal, to_eye) < 0.0;
     let n = normalize(f.normal) * select(1.0, -1.0, flip);
@@ -32,7 +33,9 @@ fn fs(f: Fragment, @builtin(front_facing) front: bool) -> @location(0) vec4<f32>
     let light = mix(vec3<f32>(0.14, 0.13, 0.12), vec3<f32>(0.27, 0.28, 0.31), up * 0.5 + 0.5)
         + max(up, 0.0) * vec3<f32>(0.52, 0.51, 0.49)
         + max(dot(n, to_eye), 0.0) * 0.19;
-    return vec4<f32>(vec3<f32>(linear(f.color.r), linear(f.color.g), linear(f.color.b)) * light, 1.0);
+    var albedo = vec3<f32>(0.58, 0.56, 0.53);
+    if view.has_colors == 1u { albedo = vec3<f32>(linear(f.color.r), linear(f.color.g), linear(f.color.b)); }
+    return vec4<f32>(albedo * light, 1.0);
 }
 ";
 
@@ -49,7 +52,20 @@ struct Vertex {
 struct View {
     clip_from_eye: [[f32; 4]; 4],
     sun: [f32; 3],
-    show_back_faces: u32,
+    look: u32,
+    has_colors: u32,
+    reserved: [u32; 3],
+}
+
+/// What a picture shows.
+#[derive(Clone, Copy)]
+pub enum Look {
+    /// Light and colours.
+    Shaded = 0,
+    /// The same, with back faces in magenta.
+    BackFaces = 1,
+    /// 1 / (1 + distance) as a grey.
+    Nearness = 2,
 }
 
 /// A model at full resolution on the adapter.
@@ -59,6 +75,7 @@ pub struct Reference<'a> {
     positions: Vec<glam::DVec3>,
     vertices: Vec<Vertex>,
     triangles: u32,
+    has_colors: bool,
     vertex_buffer: wgpu::Buffer,
     index_buffer: wgpu::Buffer,
     view_buffer: wgpu::Buffer,
@@ -103,6 +120,7 @@ impl<'a> Reference<'a> {
             positions,
             vertices,
             triangles: indices.len() as u32 / 3,
+            has_colors: model.has_colors(),
             index_buffer,
             view_buffer,
             group,
@@ -114,7 +132,7 @@ impl<'a> Reference<'a> {
     }
 
     /// The picture from `camera`, RGBA8, rows from the top.
-    pub fn picture(&mut self, camera: &Camera, show_back_faces: bool) -> Vec<u8> {
+    pub fn picture(&mut self, camera: &Camera, look: Look) -> Vec<u8> {
         for (vertex, position) in self.vertices.iter_mut().zip(&self.positions) {
             vertex.position = (*position - camera.eye).as_vec3().to_array();
         }
@@ -123,7 +141,9 @@ impl<'a> Reference<'a> {
         let view = View {
             clip_from_eye: camera.clip_from_eye(self.target.size).to_cols_array_2d(),
             sun: (up * 1.2 + side * 0.7 + up.cross(side) * 0.5).normalize().to_array(),
-            show_back_faces: show_back_faces as u32,
+            look: look as u32,
+            has_colors: self.has_colors as u32,
+            reserved: [0; 3],
         };
         let queue = &self.gpu.queue;
         queue.write_buffer(&self.vertex_buffer, 0, bytemuck::cast_slice(&self.vertices));

@@ -147,6 +147,23 @@ pub fn text(path: &Path) -> String {
     path.to_str().expect("the target folder has a plain name").to_owned()
 }
 
+/// A scan from the shared fixtures, baked by pb-bake beside pb-view; none, after saying so, where one is absent.
+pub fn scan(test: &str, input: &str) -> Option<PathBuf> {
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/fixtures").join(input);
+    let program = Path::new(env!("CARGO_BIN_EXE_pb-view")).with_file_name("pb-bake");
+    for needed in [&fixture, &program] {
+        if !needed.exists() {
+            eprintln!("SKIPPED: {} is absent: {test} did not run", needed.display());
+            return None;
+        }
+    }
+    let archive = folder("archives").join(format!("{test}.pb"));
+    let bake = Command::new(program).arg(&fixture).arg(&archive).args(["--force", "--quiet"]).output();
+    let bake = bake.expect("the program starts");
+    assert!(bake.status.success(), "{}", String::from_utf8_lossy(&bake.stderr));
+    Some(archive)
+}
+
 /// Runs pb-view with the words of this line; words that name files follow as `{}`, in order.
 pub fn pb_view_line(line: &str, paths: &[&Path]) -> Run {
     let mut paths = paths.iter();
