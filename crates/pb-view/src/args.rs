@@ -37,6 +37,7 @@ pub struct Args {
     pub flypath: Option<PathBuf>,
 
     /// Draw without a window, one frame after the other. Without --flypath: a default flight around the model.
+    /// --frames, --stats, --settle and --export-view do the same.
     #[arg(long)]
     pub headless: bool,
 
@@ -44,7 +45,7 @@ pub struct Args {
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
     pub size: [u32; 2],
 
-    /// Write each frame into this folder, as frame_00000.png and so on; needs no window.
+    /// Write each frame into this folder, as frame_00000.png and so on.
     #[arg(long, value_name = "DIR")]
     pub frames: Option<PathBuf>,
 
@@ -61,7 +62,6 @@ pub struct Args {
     pub settle: bool,
 
     /// Write the surface that frame FRAME shows, all clusters together, as PLY; may be given several times.
-    /// Needs no window.
     #[arg(long, value_name = "FRAME=FILE.ply", value_parser = parse_export)]
     pub export_view: Vec<Export>,
 
@@ -163,7 +163,8 @@ pub struct Export {
 impl Args {
     /// True when no window is wanted.
     pub fn without_window(&self) -> bool {
-        self.headless || self.frames.is_some() || !self.export_view.is_empty()
+        let reports = self.frames.is_some() || self.stats.is_some() || !self.export_view.is_empty();
+        self.headless || self.settle || reports
     }
 
     /// The detail asked for.

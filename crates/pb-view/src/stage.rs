@@ -25,8 +25,8 @@ use crate::stats::FrameStats;
 
 /// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
 const NEAR: f64 = 1e-6;
-/// Loader threads.
-const LOADERS: usize = 2;
+/// Most loader threads; decoding leaves half of the processor to the frame.
+const MAX_LOADERS: usize = 8;
 /// Most rounds of settling one frame.
 const MAX_SETTLE_ROUNDS: u32 = 100_000;
 
@@ -119,7 +119,8 @@ impl Stage {
         let heap_bytes = renderer.model.chunk_budget_bytes();
         let cache = Cache::new(chunk_infos(&model, &chunk_bytes), Limits::new(bounds.ram_bytes, heap_bytes))?;
         let (reader, chunks) = (model.clone(), chunk_bytes.len());
-        let loader = Loader::new(LOADERS, move |chunk: pb_stream::ChunkId| {
+        let threads = std::thread::available_parallelism().map_or(1, |n| n.get() / 2).clamp(1, MAX_LOADERS);
+        let loader = Loader::new(threads, move |chunk: pb_stream::ChunkId| {
             reader.read_chunk(ChunkId(chunk.0)).map_err(|e| e.to_string())
         });
         let s = subject(model.record(), glam::DVec3::Y);

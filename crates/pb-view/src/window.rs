@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use pb_lod::plan::Detail;
 use pb_lod::progressive_buffers::model::Model;
-use pb_render::{Canvas, ColorMode, Gpu, PictureFormat, Style, Surface};
+use pb_render::{ColorMode, Gpu, Style, Surface};
 use std::sync::Arc;
 use std::time::Instant;
 use winit::application::ApplicationHandler;
@@ -17,6 +17,7 @@ use crate::failure::Outcome;
 use crate::flypath::{Flypath, Keyframe};
 use crate::navigate::{Mode, Navigator, Push};
 use crate::overlay::Overlay;
+use crate::screen::{Next, Screen};
 use crate::size::show_bytes;
 use crate::stage::{Moment, Stage, open_model, subject};
 
@@ -100,9 +101,7 @@ struct Playing {
 struct Shown {
     window: Arc<Window>,
     gpu: Gpu,
-    surface: wgpu::Surface<'static>,
-    config: wgpu::SurfaceConfiguration,
-    canvas: Canvas,
+    screen: Screen,
     stage: Stage,
     overlay: Overlay,
     navigator: Navigator,
@@ -138,24 +137,20 @@ impl Shown {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let surface = instance.create_surface(window.clone()).context("the window cannot be drawn to")?;
         let gpu = Gpu::open(instance, Some(&surface))?;
-        let config = configuration(&gpu, &surface, window.inner_size())?;
-        surface.configure(&gpu.device, &config);
+        let screen = Screen::new(&gpu, surface, window.inner_size().into(), args.samples)?;
         let subject = subject(model.record(), args.up.vector());
-        let stage =
-            Stage::new(&gpu, model, args.bounds(), PictureFormat { color: config.format, samples: args.samples })?;
+        let stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;
         let mut navigator = Navigator::new(subject, FOV_DEG);
-        navigator.fit(config.width as f64 / config.height as f64);
+        navigator.fit(screen.aspect());
         let now = Instant::now();
         if args.wireframe && !gpu.wireframe {
             eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
         }
         Ok(Self {
-            canvas: Canvas::new(&gpu, [config.width, config.height], config.format, args.samples),
-            overlay: Overlay::new(&gpu, config.format),
+            overlay: Overlay::new(&gpu, screen.format().color),
             window,
             gpu,
-            surface,
-            config,
+            screen,
             stage,
             navigator,
             playing: flight.map(|flight| Playing { t_secs: flight.time(0), flight, paused: false }),
@@ -172,7 +167,7 @@ impl Shown {
     fn event(&mut self, event: &WindowEvent) -> Result<bool> {
         match event {
             WindowEvent::CloseRequested => return Ok(false),
-            WindowEvent::Resized(size) => self.resize([size.width, size.height]),
+            WindowEvent::Resized(size) => self.screen.resize(&self.gpu, (*size).into()),
             WindowEvent::RedrawRequested => self.frame()?,
             WindowEvent::KeyboardInput { event, .. } => {
                 if let PhysicalKey::Code(code) = event.physical_key {
@@ -201,15 +196,6 @@ impl Shown {
         Ok(true)
     }
 
-    fn resize(&mut self, size: [u32; 2]) {
-        if size[0] == 0 || size[1] == 0 {
-            return; // minimised
-        }
-        (self.config.width, self.config.height) = (size[0], size[1]);
-        self.surface.configure(&self.gpu.device, &self.config);
-        self.canvas = Canvas::new(&self.gpu, size, self.config.format, self.canvas.samples);
-    }
-
     fn button(&mut self, button: MouseButton, pressed: bool) {
         match button {
             MouseButton::Left => self.buttons.turn = pressed,
@@ -227,7 +213,7 @@ impl Shown {
         self.take_over();
         match self.buttons.turn {
             true => self.navigator.turn(dx, dy),
-            false => self.navigator.pan(dx, dy, self.config.height as f64),
+            false => self.navigator.pan(dx, dy, self.screen.canvas.size[1] as f64),
         }
     }
 
@@ -265,7 +251,7 @@ impl Shown {
         match code {
             KeyCode::KeyF => {
                 self.take_over();
-                self.navigator.fit(self.config.width as f64 / self.config.height as f64);
+                self.navigator.fit(self.screen.aspect());
             }
             KeyCode::Tab | KeyCode::KeyC => {
                 self.take_over();
@@ -310,17 +296,24 @@ impl Shown {
     }
 
     fn frame(&mut self) -> Result<()> {
-        let Some(picture) = self.picture()? else { return Ok(()) };
+        let picture = match self.screen.next(&self.gpu, self.window.inner_size().into())? {
+            Next::Picture(picture) => picture,
+            Next::Later => {
+                self.window.request_redraw();
+                return Ok(());
+            }
+            Next::Hidden => return Ok(()),
+        };
         let now = Instant::now();
         let dt_secs = (now - self.clock.last).as_secs_f64().min(MAX_DT_SECS);
         self.clock.last = now;
         let key = self.camera(dt_secs);
         self.record(key);
-        let size = [self.config.width, self.config.height];
+        let size = self.screen.canvas.size;
         let moment = Moment { key, size, detail: self.detail, dt_secs: dt_secs as f32 };
         self.stage.advance(&self.gpu, &moment)?;
         let color = picture.texture.create_view(&Default::default());
-        let surface = Surface { color: &color, canvas: &self.canvas };
+        let surface = Surface { color: &color, canvas: &self.screen.canvas };
         self.stage.draw(&self.gpu, &surface, &moment, self.style);
         self.status(now);
         self.overlay.draw(&self.gpu, &color, size);
@@ -332,32 +325,6 @@ impl Shown {
             self.window.request_redraw();
         }
         Ok(())
-    }
-
-    /// The next picture to draw into, or `None` when this frame is to be left out.
-    fn picture(&mut self) -> Result<Option<wgpu::SurfaceTexture>> {
-        use wgpu::CurrentSurfaceTexture as Next;
-        match self.surface.get_current_texture() {
-            Next::Success(picture) => Ok(Some(picture)),
-            Next::Suboptimal(picture) => {
-                drop(picture);
-                self.resize([self.config.width, self.config.height]);
-                self.window.request_redraw();
-                Ok(None)
-            }
-            Next::Outdated => {
-                let size = self.window.inner_size();
-                self.resize([size.width, size.height]);
-                self.window.request_redraw();
-                Ok(None)
-            }
-            Next::Timeout => {
-                self.window.request_redraw();
-                Ok(None)
-            }
-            Next::Occluded => Ok(None),
-            Next::Lost | Next::Validation => anyhow::bail!("the window's surface was lost; start the program again"),
-        }
     }
 
     /// The camera of this frame: from the flight, or from the hand.
@@ -420,18 +387,4 @@ impl Shown {
         }
         Ok(if self.stage.damaged_chunks() == 0 { Outcome::Done } else { Outcome::Damaged })
     }
-}
-
-/// An sRGB format, vertical sync.
-fn configuration(
-    gpu: &Gpu,
-    surface: &wgpu::Surface,
-    size: winit::dpi::PhysicalSize<u32>,
-) -> Result<wgpu::SurfaceConfiguration> {
-    let config = surface.get_default_config(&gpu.adapter, size.width.max(1), size.height.max(1));
-    let mut config = config.context("the graphics adapter cannot draw to this window")?;
-    let formats = surface.get_capabilities(&gpu.adapter).formats;
-    config.format = formats.iter().copied().find(|f| f.is_srgb()).unwrap_or(config.format);
-    config.present_mode = wgpu::PresentMode::AutoVsync;
-    Ok(config)
 }

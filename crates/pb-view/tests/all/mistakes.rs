@@ -107,6 +107,24 @@ fn without_an_adapter_the_remedy_is_named() {
 }
 
 #[test]
+fn without_a_display_the_way_without_a_window_is_named() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_pb-view"))
+        .arg(small_torus())
+        .env_remove("DISPLAY")
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("WAYLAND_SOCKET")
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if cfg!(not(target_os = "linux")) {
+        eprintln!("SKIPPED: only on Linux can a display be taken away: the message was not tested");
+        return;
+    }
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("--headless") && stderr.contains("DISPLAY"), "{stderr}");
+}
+
+#[test]
 fn a_damaged_chunk_is_named_once_drawn_coarser_and_ends_with_1() {
     let Some(_) = adapter("damaged chunks") else { return };
     let out = folder("damaged");
