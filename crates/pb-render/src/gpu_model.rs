@@ -36,7 +36,7 @@ impl ModelTables<'_> {
 
     /// Vertices that `chunk` adds to the coarser ones.
     fn new_vertices(&self, chunk: usize) -> u32 {
-        let coarser = if (chunk + 1) % self.level_count() == 0 { 0 } else { self.levels[chunk + 1].vertices };
+        let coarser = if (chunk + 1).is_multiple_of(self.level_count()) { 0 } else { self.levels[chunk + 1].vertices };
         self.levels[chunk].vertices - coarser
     }
 
@@ -48,7 +48,7 @@ impl ModelTables<'_> {
     /// Bytes of each chunk in VRAM, `cluster * levels + level`. A coarsest chunk lies in the coarse buffer:
     /// vertices with their cluster's index, and 32-bit indices.
     pub fn chunk_vram_bytes(&self) -> Vec<u64> {
-        let coarsest = |chunk: usize| (chunk + 1) % self.level_count() == 0;
+        let coarsest = |chunk: usize| (chunk + 1).is_multiple_of(self.level_count());
         let bytes = |chunk: usize| match coarsest(chunk) {
             true => self.new_vertices(chunk) as u64 * 20 + self.levels[chunk].triangles as u64 * 12,
             false => self.units(chunk) as u64 * UNIT_BYTES,
@@ -62,7 +62,7 @@ impl ModelTables<'_> {
     }
 
     fn finer(&self) -> impl Iterator<Item = u32> + '_ {
-        (0..self.levels.len()).filter(|c| (c + 1) % self.level_count() != 0).map(|c| self.units(c))
+        (0..self.levels.len()).filter(|c| !(c + 1).is_multiple_of(self.level_count())).map(|c| self.units(c))
     }
 }
 
@@ -267,7 +267,7 @@ impl GpuModel {
     }
 
     fn is_coarsest(&self, slot: usize) -> bool {
-        (slot + 1) % self.levels as usize == 0
+        (slot + 1).is_multiple_of(self.levels as usize)
     }
 
     /// Tells the shader where a slot's vertices lie.

@@ -74,10 +74,11 @@ fn ply(surface: &Surface, eye: &GridEye, model: &ModelRecord) -> Vec<u8> {
         surface.triangles.len()
     )
     .into_bytes();
+    let at: [f64; 3] =
+        std::array::from_fn(|k| model.origin[k] + eye.cell[k] as f64 * model.quantum + eye.rest[k] as f64);
     for (position, color) in surface.positions.iter().zip(&surface.colors) {
-        for k in 0..3 {
-            let at = model.origin[k] + eye.cell[k] as f64 * model.quantum + eye.rest[k] as f64;
-            out.extend((at + position[k] as f64).to_le_bytes());
+        for (p, at) in position.iter().zip(at) {
+            out.extend((at + *p as f64).to_le_bytes());
         }
         out.extend(color);
     }

@@ -30,7 +30,7 @@ fn orbit(archive: &Path, path: &Path) {
     let subject = subject(model.record(), glam::DVec3::Y);
     let key = |i: u32| {
         let (sin, cos) = (i as f64 * 0.8).sin_cos();
-        let distance = subject.radius * if i % 2 == 0 { 1.3 } else { 3.0 };
+        let distance = subject.radius * if i.is_multiple_of(2) { 1.3 } else { 3.0 };
         let eye = subject.center + glam::DVec3::new(cos, 0.5 * (i as f64).sin(), sin).normalize() * distance;
         (i as f64, eye.to_array(), subject.center.to_array())
     };
