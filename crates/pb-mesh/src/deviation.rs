@@ -4,10 +4,12 @@
 //! around its ancestor. Inside an input triangle whose corners land on one coarse triangle, the distance is
 //! convex, so its corners bound it. Where corners land on different coarse triangles, the straight image of
 //! the triangle leaves the surface by its sag over the edges in between, which is added; triangles that would
-//! raise the bound are subdivided until the sag no longer matters. The map is continuous up to that sag, so
-//! the same bound holds from the coarse surface back to the input (cf. Cohen et al. 1998, section 4;
+//! raise the bound are subdivided until the sag hardly matters, or until the budget for that is spent. The map is
+//! continuous up to that sag, so the same bound holds from the coarse surface back to the input; where a fold tears
+//! it, samples of the coarse surface that are walked back over the input catch that (cf. Cohen et al. 1998, section 4;
 //! Guthe et al. 2005 for the pruning by the largest distance known so far).
 
+use crate::closest::{closest_feature, closest_on_segment, closest_on_triangle, height_over, segment_distance};
 use crate::topology::Fans;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -15,16 +17,24 @@ use std::collections::BinaryHeap;
 
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
-/// Subdivisions per cluster and level at most; the bound holds whenever they stop.
-const MAX_SPLITS: usize = 4096;
+/// Subdivisions per cluster and level at most.
+const MAX_SPLITS: usize = 256;
+/// Input triangles whose corners are all nearer than this share of the largest distance are not looked into: it would
+/// have to rise severalfold inside of them.
+const PLAUSIBLE: f32 = 0.4;
+/// Where subdivision stops early, the bound is at most this many times the largest distance measured: the parts with the
+/// largest bounds were measured first, and none was worse.
+const UNREFINED: f32 = 1.5;
 /// Spokes of a fan that a line may cross before its bound becomes a crude one.
 const MAX_FAN_STEPS: usize = 8;
 /// Largest distance of a point of a triangle from its nearest corner, in longest edges: below `1 / sqrt(3)`.
 const FARTHEST_FROM_CORNERS: f32 = 0.578;
+/// Steps over the input from a corner of a coarse triangle to a point of it.
+const MAX_WALK_BACK: usize = 128;
 /// Distances above this many root mean squares are searched for more thoroughly.
-const LARGE: f32 = 2.0;
+const LARGE: f32 = 3.0;
 /// A bound this close above the largest distance known is not refined.
-const GOOD_ENOUGH: f32 = 1.1;
+const GOOD_ENOUGH: f32 = 1.25;
 /// No coarse triangle: the component has vanished.
 const NONE: u32 = u32::MAX;
 
@@ -34,6 +44,8 @@ pub struct LevelPair<'a> {
     pub positions: &'a [[i32; 3]],
     /// Input triangles.
     pub triangles: &'a [[u32; 3]],
+    /// Input triangles around positions.
+    pub fine: &'a Fans,
     /// Cluster of each input triangle.
     pub cluster_of: &'a [u32],
     /// Coarse triangles over the same positions.
@@ -91,7 +103,9 @@ pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
         *n = (better.distance, better.triangle);
     });
     let jobs = jobs(pair, &nearest, clusters);
-    let max = jobs.par_iter().map(|list| field.cluster_bound(list, &nearest)).collect();
+    let mut max: Vec<f32> = jobs.par_iter().map(|list| field.cluster_bound(list, &nearest)).collect();
+    let back = field.sampled_back(&max);
+    back.into_iter().zip(pair.coarse_cluster_of).for_each(|(d, &c)| max[c as usize] = max[c as usize].max(d));
     Deviation { max, squares: squares(pair, &nearest) }
 }
 
@@ -260,6 +274,66 @@ impl Field<'_> {
         if best.is_finite() { best } else { from.length() }
     }
 
+    /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
+    /// where the map is torn, by a fold, coarse parts may lie outside of it.
+    fn sampled_back(&self, floors: &[f32]) -> Vec<f32> {
+        // A coarse triangle of the first levels is hardly larger than the input's around it.
+        let steps = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).ilog2().min(6);
+        let steps = if steps < 3 { 1 } else { steps };
+        let samples = |(tri, &cluster): (&[u32; 3], &u32)| {
+            let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
+            let floor = floors[cluster as usize];
+            let distance = |at: Vec3, k: usize| {
+                let quick = self.distance_back(tri, at, k, Walk::Quick) * GOOD_ENOUGH;
+                let thorough =
+                    || (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough)).fold(f32::INFINITY, f32::min);
+                if quick > floor { thorough() * GOOD_ENOUGH } else { quick }
+            };
+            let mut most = distance((p[0] + p[1] + p[2]) / 3.0, 0);
+            for i in 0..=steps {
+                for j in 0..=steps - i {
+                    let k = steps - i - j;
+                    if i.max(j).max(k) < steps {
+                        let at = (p[0] * i as f32 + p[1] * j as f32 + p[2] * k as f32) / steps as f32;
+                        let nearest = if i >= j && i >= k { 0 } else { 1 + usize::from(k > j) };
+                        most = most.max(distance(at, nearest));
+                    }
+                }
+            }
+            most
+        };
+        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).map(samples).collect()
+    }
+
+    /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0.
+    fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk) -> f32 {
+        let (mut best, mut nearest) = (f32::INFINITY, [tri[k]; 3]);
+        for _ in 0..MAX_WALK_BACK {
+            let before = best;
+            let centers = if walk == Walk::Quick { &nearest[..1] } else { &nearest[..] };
+            let mut next = nearest;
+            for &center in centers {
+                for &t in self.pair.fine.around(center) {
+                    let fine = self.pair.triangles[t as usize];
+                    let corners = fine.map(|v| relative(self.pair.positions, tri[0], v));
+                    let square = closest_feature(at, corners).0.distance_squared(at);
+                    if square < best {
+                        best = square;
+                        next = fine;
+                        let far = |c: usize| corners[c].distance_squared(at);
+                        let k = (0..3).min_by(|&a, &b| far(a).total_cmp(&far(b))).expect("three corners");
+                        next.swap(0, k);
+                    }
+                }
+            }
+            if best == before || walk == Walk::Quick && next[0] == nearest[0] {
+                break;
+            }
+            nearest = next;
+        }
+        best.sqrt()
+    }
+
     /// Bound over the input triangles `list`: branch and bound, the part with the largest bound first.
     fn cluster_bound(&self, list: &[u32], nearest: &[(f32, u32)]) -> f32 {
         let mut floor = 0f32;
@@ -286,7 +360,7 @@ impl Field<'_> {
                 top => return top.map_or(floor, |part| part.bound.max(floor)).max(floor * GOOD_ENOUGH),
             }
         }
-        parts.pop().map_or(floor, |part| part.bound.max(floor)).max(floor * GOOD_ENOUGH)
+        parts.pop().map_or(floor, |part| part.bound.min(floor * UNREFINED)).max(floor * GOOD_ENOUGH)
     }
 
     /// An input triangle whose corners land on several coarse triangles, if its bound can be above `floor`.
@@ -298,6 +372,9 @@ impl Field<'_> {
         let at: [Vec3; 3] = std::array::from_fn(|k| relative(self.pair.positions, t[0], t[k]));
         let longest = (0..3).map(|k| at[k].distance_squared(at[(k + 1) % 3])).fold(0.0, f32::max).sqrt();
         let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
+        if most < floor * PLAUSIBLE {
+            return None;
+        }
         // Images are no further apart than the points and twice the distance; in a fan the surface between them
         // leaves the straight line no more steeply than the fan bends.
         let apart = (longest + 2.0 * most) * FARTHEST_FROM_CORNERS;
@@ -411,6 +488,15 @@ impl Field<'_> {
     }
 }
 
+/// How many corners of the nearest triangle a walk looks around at each step.
+#[derive(Clone, Copy, PartialEq)]
+enum Walk {
+    /// The nearest one.
+    Quick,
+    /// All three.
+    Thorough,
+}
+
 /// A part of an input triangle, its images and a bound of its distance, ordered by the bound.
 struct Part {
     bound: f32,
@@ -436,68 +522,4 @@ impl Ord for Part {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         self.bound.total_cmp(&other.bound)
     }
-}
-
-/// Point of triangle `t` nearest to `p`.
-fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
-    closest_feature(p, t).0
-}
-
-/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits (Ericson, Real-Time Collision
-/// Detection, 5.1.5).
-fn closest_feature(p: Vec3, t: [Vec3; 3]) -> (Vec3, u8) {
-    let [a, b, c] = t;
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return (a, 1);
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return (b, 2);
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return (a + ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE)), 3);
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return (c, 4);
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return (a + ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE)), 5);
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE)), 6);
-    }
-    let denominator = 1.0 / (va + vb + vc);
-    (a + ab * (vb * denominator) + ac * (vc * denominator), 7)
-}
-
-fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {
-    let d = b - a;
-    let l = d.length_squared();
-    if l > 0.0 { a + d * ((p - a).dot(d) / l).clamp(0.0, 1.0) } else { a }
-}
-
-/// Distance between two segments, by alternating projection from the crossing of their lines.
-fn segment_distance(p: Vec3, q: Vec3, a: Vec3, b: Vec3) -> f32 {
-    let (d1, d2, r) = (q - p, b - a, p - a);
-    let (l1, l2, f, c, m) = (d1.length_squared(), d2.length_squared(), d2.dot(r), d1.dot(r), d1.dot(d2));
-    let denominator = l1 * l2 - m * m;
-    let s = if denominator > 0.0 { ((m * f - c * l2) / denominator).clamp(0.0, 1.0) } else { 0.0 };
-    let on_b = closest_on_segment(p + d1 * s, a, b);
-    let on_a = closest_on_segment(on_b, p, q);
-    closest_on_segment(on_a, a, b).distance(on_a)
-}
-
-/// Height of `p` over a triangle if its foot lies inside.
-fn height_over(p: Vec3, t: [Vec3; 3]) -> Option<f32> {
-    let n = (t[1] - t[0]).cross(t[2] - t[0]).try_normalize()?;
-    let inside = (0..3).all(|k| (t[(k + 1) % 3] - t[k]).cross(p - t[k]).dot(n) >= 0.0);
-    inside.then(|| (p - t[0]).dot(n).abs())
 }

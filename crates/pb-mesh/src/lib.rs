@@ -1,4 +1,5 @@
 //! pb-mesh
+mod closest;
 pub mod deviation;
 pub mod mesh;
 pub mod weld;

@@ -6,8 +6,10 @@
 //! Sander and Mitchell 2005, section 5.4, with one global limit instead of passes per cluster.
 
 mod border;
+mod legal;
 mod patch;
 mod quadric;
+mod vanish;
 
 use crate::segment::{Segmentation, components};
 use crate::topology::{Fans, Kind};
@@ -24,9 +26,9 @@ const MAX_ROUNDS: usize = 64;
 /// Share of the remaining way (in log counts) that one round aims for while far from the target.
 const FAR_STEP: f64 = 0.75;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
-const MAX_RISE: f64 = 16.0;
+const MAX_RISE: f64 = 6.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
-const FREE_ERROR: f64 = 2e-3;
+const FREE_ERROR: f64 = 1e-3;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.
 const VANISH_SHARE: f32 = 0.25;
 

@@ -12,14 +12,12 @@ use std::collections::BinaryHeap;
 
 /// No vertex, no corner.
 pub(super) const NONE: u32 = u32::MAX;
-/// A triangle may turn by at most about 75 degrees in one collapse.
-const MIN_TURN_COSINE: f32 = 0.25;
 /// Weight of the plane that stands on an open border edge, times the squared edge length.
 const OPEN_BORDER_WEIGHT: f32 = 10.0;
 /// Weight of the bend of normals along a collapse: the appearance term, in squared edge lengths.
 const NORMAL_WEIGHT: f32 = 1.0 / 256.0;
 /// Marks count to this per gathering: room for the triangles on one edge.
-const EPOCH: u32 = 4;
+pub(super) const EPOCH: u32 = 4;
 /// Weight of plain edge length: orders collapses where the surface is flat.
 const LENGTH_WEIGHT: f32 = 1e-6;
 
@@ -48,20 +46,20 @@ pub(super) struct Patch {
     pub parent: Vec<u32>,
     /// Level of death; `u8::MAX` while alive.
     pub death: Vec<u8>,
-    quadrics: Vec<Quadric>,
+    pub(super) quadrics: Vec<Quadric>,
     /// Cheapest target of each vertex and its cost, in squared quanta.
-    best: Vec<(f32, u32)>,
-    queue: BinaryHeap<Reverse<(u32, u32)>>,
+    pub(super) best: Vec<(f32, u32)>,
+    pub(super) queue: BinaryHeap<Reverse<(u32, u32)>>,
     /// Corner lists: first corner of a vertex, next corner in its list.
-    first: Vec<u32>,
-    next: Vec<u32>,
-    marks: Vec<u32>,
-    epoch: u32,
-    ring: Vec<u32>,
-    candidates: Vec<(f32, u32)>,
+    pub(super) first: Vec<u32>,
+    pub(super) next: Vec<u32>,
+    pub(super) marks: Vec<u32>,
+    pub(super) epoch: u32,
+    pub(super) ring: Vec<u32>,
+    pub(super) candidates: Vec<(f32, u32)>,
     /// Points left over from vanished components, to die one level later.
-    points: Vec<u32>,
-    alive: usize,
+    pub(super) points: Vec<u32>,
+    pub(super) alive: usize,
 }
 
 impl Patch {
@@ -149,7 +147,7 @@ impl Patch {
     }
 
     /// Corners of living triangles at `v`.
-    fn corners(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
+    pub(super) fn corners(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
         let mut c = self.first[v as usize];
         std::iter::from_fn(move || {
             while c != NONE {
@@ -164,7 +162,7 @@ impl Patch {
     }
 
     /// The two other vertices of a corner's triangle, in its order.
-    fn spokes(&self, corner: u32) -> (u32, u32) {
+    pub(super) fn spokes(&self, corner: u32) -> (u32, u32) {
         let t = self.input.triangles[corner as usize / 3];
         match corner % 3 {
             0 => (t[1], t[2]),
@@ -174,7 +172,7 @@ impl Patch {
     }
 
     /// Fills `ring` with the neighbours of `v` and marks each with the number of triangles on its edge.
-    fn gather(&mut self, v: u32) {
+    pub(super) fn gather(&mut self, v: u32) {
         self.epoch += EPOCH;
         self.ring.clear();
         let mut c = self.first[v as usize];
@@ -197,7 +195,7 @@ impl Patch {
     }
 
     /// Triangles on the edge from the last gathered vertex to `x`.
-    fn edge_triangles(&self, x: u32) -> u32 {
+    pub(super) fn edge_triangles(&self, x: u32) -> u32 {
         self.marks[x as usize].saturating_sub(self.epoch)
     }
 
@@ -308,87 +306,6 @@ impl Patch {
         true
     }
 
-    /// Largest squared distance of `u` from the planes of the triangles around `v`.
-    pub fn largest_turn(&self, v: u32, u: u32) -> f32 {
-        let p = |x: u32| self.input.positions[x as usize];
-        let d = p(u) - p(v);
-        let height = |c: u32| {
-            let (a, b) = self.spokes(c);
-            let n = (p(a) - p(v)).cross(p(b) - p(v));
-            let square = n.length_squared();
-            if square > 0.0 { n.dot(d).powi(2) / square } else { 0.0 }
-        };
-        self.corners(v).map(height).fold(0.0, f32::max)
-    }
-
-    /// Does the collapse keep the surface a manifold with the same borders, and turn no triangle over?
-    /// `along` is the vertex that a border collapse joins to `u` by a border edge, `NONE` otherwise.
-    pub fn legal(&mut self, v: u32, u: u32, along: u32) -> bool {
-        self.keeps_topology(v, u, along) && self.keeps_orientation(v, u)
-    }
-
-    /// Link condition (Dey et al. 1999), and no new edge between two border vertices that may have one in
-    /// another cluster already.
-    fn keeps_topology(&mut self, v: u32, u: u32, along: u32) -> bool {
-        self.gather(u);
-        let shared_triangles = self.edge_triangles(v);
-        let epoch_u = self.epoch;
-        let touches_border = !self.shared(u).is_empty();
-        self.epoch += EPOCH;
-        let (mut common, mut valence, mut opposite) = (0, 0, NONE);
-        let mut c = self.first[v as usize];
-        while c != NONE {
-            let (now, living) = (c, self.input.triangles[c as usize / 3][0] != NONE);
-            c = self.next[c as usize];
-            if !living {
-                continue;
-            }
-            valence += 1;
-            let (a, b) = self.spokes(now);
-            for x in [a, b] {
-                let mark = self.marks[x as usize];
-                if mark >= self.epoch || x == u {
-                    continue;
-                }
-                self.marks[x as usize] = self.epoch;
-                if mark > epoch_u {
-                    (common, opposite) = (common + 1, x);
-                } else if touches_border && x != along && intersects(self.shared(u), self.shared(x)) {
-                    return false;
-                }
-            }
-        }
-        if common != shared_triangles || common == 0 {
-            return false;
-        }
-        match valence {
-            1 => self.edge_count(opposite, u) > 1,
-            3 => !self.corners(u).any(|c| {
-                let (a, b) = self.spokes(c);
-                a != v && b != v && self.marks[a as usize] == self.epoch && self.marks[b as usize] == self.epoch
-            }),
-            _ => true,
-        }
-    }
-
-    fn edge_count(&self, a: u32, b: u32) -> usize {
-        self.corners(a).filter(|&c| self.spokes(c).0 == b || self.spokes(c).1 == b).count()
-    }
-
-    fn keeps_orientation(&self, v: u32, u: u32) -> bool {
-        let p = |x: u32| self.input.positions[x as usize];
-        let (from, to) = (p(v), p(u));
-        self.corners(v).all(|c| {
-            let (a, b) = self.spokes(c);
-            if a == u || b == u {
-                return true;
-            }
-            let (old, new) = ((p(a) - from).cross(p(b) - from), (p(a) - to).cross(p(b) - to));
-            let scale = old.length() * new.length();
-            old == Vec3::ZERO || (old.dot(new) > MIN_TURN_COSINE * scale && scale > 0.0)
-        })
-    }
-
     /// The two neighbours of `v` along the border of the patch: the one its fan starts with and the one it
     /// ends with. `None` when the fan is not one open run.
     pub fn border_ends(&self, v: u32) -> Option<[u32; 2]> {
@@ -457,7 +374,7 @@ impl Patch {
                 continue;
             }
             let (cost, target) = self.best[x as usize];
-            if target == gone || target == u || target == NONE || self.input.kinds[x as usize] == Kind::Open {
+            if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
                 let best = self.cheapest(x);
                 if best != (cost, target) {
                     self.enqueue(x, best);
@@ -475,63 +392,4 @@ impl Patch {
             self.enqueue(u, best);
         }
     }
-
-    /// Small components whose size is within `limit` (squared quanta) shrink to a point; at most `quota`
-    /// vertices go. Returns how many went.
-    pub fn vanish(&mut self, limit: f32, level: u8, quota: usize) -> usize {
-        let mut count = 0;
-        while let Some(&(size, _)) = self.input.components.last() {
-            if size > limit || count >= quota {
-                break;
-            }
-            let (_, members) = self.input.components.pop().expect("just seen");
-            let mut living = members.into_iter().filter(|&v| self.death[v as usize] == u8::MAX);
-            let Some(point) = living.next() else { continue };
-            let others: Vec<u32> = living.collect();
-            for c in self.corners(point).chain(others.iter().flat_map(|&v| self.corners(v))).collect::<Vec<_>>() {
-                self.input.triangles[c as usize / 3][0] = NONE;
-            }
-            count += others.len();
-            for v in others {
-                self.bury(v, point, level);
-            }
-            self.input.kinds[point as usize] = Kind::Locked;
-            self.points.push(point);
-        }
-        count
-    }
-
-    fn bury(&mut self, v: u32, parent: u32, level: u8) {
-        self.parent[v as usize] = parent;
-        self.death[v as usize] = level;
-        self.first[v as usize] = NONE;
-        self.alive -= 1;
-    }
-
-    /// Points left by components that vanished at an earlier level die: nothing draws them any more.
-    pub fn bury_points(&mut self, level: u8) -> usize {
-        let mut points = std::mem::take(&mut self.points);
-        points.sort_unstable();
-        let mut heirs: Vec<u32> = (0..self.death.len() as u32).filter(|&h| self.death[h as usize] == u8::MAX).collect();
-        if !points.is_empty() {
-            heirs.retain(|h| points.binary_search(h).is_err());
-        }
-        let mut count = 0;
-        for &v in &points {
-            let p = self.input.positions[v as usize];
-            let distance = |h: u32| self.input.positions[h as usize].distance_squared(p);
-            match heirs.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b))) {
-                Some(heir) => {
-                    self.bury(v, heir, level);
-                    count += 1;
-                }
-                None => self.points.push(v),
-            }
-        }
-        count
-    }
-}
-
-fn intersects(a: &[u32], b: &[u32]) -> bool {
-    a.iter().any(|x| b.contains(x))
 }

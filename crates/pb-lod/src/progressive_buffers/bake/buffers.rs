@@ -7,7 +7,8 @@ use pb_mesh::mesh::Wedge;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 
-/// Cache size that ACMR is reported for.
+/// Vertex cache that the order is made for and ACMR is reported for. The FIFO order takes a quarter of the time of the
+/// table-driven one for a few percent more misses.
 const ACMR_CACHE: u32 = 16;
 /// Not numbered yet.
 const NONE: u32 = u32::MAX;
@@ -116,7 +117,7 @@ impl Local {
         for level in (0..levels).rev() {
             let mut indices: Vec<u32> = triangles[level].as_flattened().to_vec();
             if !indices.is_empty() {
-                meshopt::optimize_vertex_cache_in_place(&mut indices, count);
+                meshopt::optimize_vertex_cache_fifo_in_place(&mut indices, count, ACMR_CACHE);
             }
             let alive = (0..count as u32).filter(|&v| self.last_level[v as usize] as usize >= level);
             for v in indices.iter().copied().chain(alive) {

@@ -224,6 +224,8 @@ struct LevelErrors {
     /// Bound per cluster (segmentation order).
     max: Vec<f32>,
     rms: f64,
+    /// Positions that triangles of this level use.
+    vertices: u64,
 }
 
 /// Measures all levels; bounds never fall from a level to the next coarser one.
@@ -240,7 +242,11 @@ fn measure_levels(
     let (mut coarse, mut coarse_cluster) = (triangles.to_vec(), clusters.cluster_of.clone());
     let round_up = |x: f64| (x as f32).next_up();
     let snap_rms = (grid.snap_squares / grid.points.len() as f64).sqrt();
-    let mut list = vec![LevelErrors { max: grid.snap_errors.iter().map(|&e| round_up(e)).collect(), rms: snap_rms }];
+    let mut list = vec![LevelErrors {
+        max: grid.snap_errors.iter().map(|&e| round_up(e)).collect(),
+        rms: snap_rms,
+        vertices: grid.points.len() as u64,
+    }];
     for level in 1..levels as u8 {
         ancestors.par_iter_mut().for_each(|v| *v = collapses.ancestor(*v, level));
         let kept: Vec<([u32; 3], u32)> = coarse
@@ -254,6 +260,7 @@ fn measure_levels(
             &LevelPair {
                 positions: &grid.points,
                 triangles,
+                fine: &clusters.fans,
                 cluster_of: &clusters.cluster_of,
                 coarse: &coarse,
                 coarse_cluster_of: &coarse_cluster,
@@ -269,10 +276,21 @@ fn measure_levels(
             round_up(distance).max(finer.max[c])
         };
         let rms = (deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE)).sqrt() * grid.quantum;
-        list.push(LevelErrors { max: (0..count).map(bound).collect(), rms: rms.max(finer.rms) });
+        list.push(LevelErrors {
+            max: (0..count).map(bound).collect(),
+            rms: rms.max(finer.rms),
+            vertices: used_positions(&coarse, grid.points.len()),
+        });
         progress(f32::from(level) / (levels - 1) as f32);
     }
     list
+}
+
+/// How many positions triangles use.
+fn used_positions(triangles: &[[u32; 3]], positions: usize) -> u64 {
+    let mut used = vec![false; positions];
+    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+    used.iter().filter(|u| **u).count() as u64
 }
 
 /// Positions on open borders of the mesh.
@@ -364,7 +382,7 @@ fn assemble(
             reserved: [0; 2],
         }
     };
-    let (model_levels, acmr) = model_levels(&level_records, collapses, errors, levels);
+    let (model_levels, acmr) = model_levels(&level_records, errors, levels);
     let model = BakedModel {
         record: model_record(mesh, triangles_in, grid, &bounds, levels),
         clusters: (0..count).map(record).collect(),
@@ -420,12 +438,7 @@ fn neighbour_lists(clusters: &Clusters, new_of: &[u32]) -> (Vec<u32>, Vec<u32>) 
     (pairs.into_iter().map(|p| p[1]).collect(), firsts)
 }
 
-fn model_levels(
-    records: &[LevelRecord],
-    collapses: &Collapses,
-    errors: &[LevelErrors],
-    levels: usize,
-) -> (Vec<ModelLevelRecord>, Vec<f32>) {
+fn model_levels(records: &[LevelRecord], errors: &[LevelErrors], levels: usize) -> (Vec<ModelLevelRecord>, Vec<f32>) {
     let of = |level: usize| records.iter().skip(level).step_by(levels);
     let mut acmr = Vec::new();
     let list = (0..levels)
@@ -434,7 +447,7 @@ fn model_levels(
             let misses: f64 = of(level).map(|r| f64::from(r.acmr) * f64::from(r.triangles)).sum();
             acmr.push((misses / triangles.max(1) as f64) as f32);
             ModelLevelRecord {
-                vertices: collapses.counts[level] as u64,
+                vertices: errors[level].vertices,
                 triangles,
                 max_error: of(level).map(|r| f64::from(r.error)).fold(0.0, f64::max),
                 rms_error: errors[level].rms,

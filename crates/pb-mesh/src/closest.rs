@@ -1,0 +1,67 @@
+//! Nearest points of triangles and segments.
+
+use glam::Vec3;
+
+/// Point of triangle `t` nearest to `p`.
+pub(crate) fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
+    closest_feature(p, t).0
+}
+
+/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits (Ericson, Real-Time Collision
+/// Detection, 5.1.5).
+pub(crate) fn closest_feature(p: Vec3, t: [Vec3; 3]) -> (Vec3, u8) {
+    let [a, b, c] = t;
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return (a, 1);
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return (b, 2);
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return (a + ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE)), 3);
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return (c, 4);
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return (a + ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE)), 5);
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE)), 6);
+    }
+    let denominator = 1.0 / (va + vb + vc);
+    (a + ab * (vb * denominator) + ac * (vc * denominator), 7)
+}
+
+pub(crate) fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {
+    let d = b - a;
+    let l = d.length_squared();
+    if l > 0.0 { a + d * ((p - a).dot(d) / l).clamp(0.0, 1.0) } else { a }
+}
+
+/// Distance between two segments, by alternating projection from the crossing of their lines.
+pub(crate) fn segment_distance(p: Vec3, q: Vec3, a: Vec3, b: Vec3) -> f32 {
+    let (d1, d2, r) = (q - p, b - a, p - a);
+    let (l1, l2, f, c, m) = (d1.length_squared(), d2.length_squared(), d2.dot(r), d1.dot(r), d1.dot(d2));
+    let denominator = l1 * l2 - m * m;
+    let s = if denominator > 0.0 { ((m * f - c * l2) / denominator).clamp(0.0, 1.0) } else { 0.0 };
+    let on_b = closest_on_segment(p + d1 * s, a, b);
+    let on_a = closest_on_segment(on_b, p, q);
+    closest_on_segment(on_a, a, b).distance(on_a)
+}
+
+/// Height of `p` over a triangle if its foot lies inside.
+pub(crate) fn height_over(p: Vec3, t: [Vec3; 3]) -> Option<f32> {
+    let n = (t[1] - t[0]).cross(t[2] - t[0]).try_normalize()?;
+    let inside = (0..3).all(|k| (t[(k + 1) % 3] - t[k]).cross(p - t[k]).dot(n) >= 0.0);
+    inside.then(|| (p - t[0]).dot(n).abs())
+}

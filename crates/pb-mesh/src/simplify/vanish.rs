@@ -1,0 +1,61 @@
+//! Small components that shrink to a point: below a level's error nobody misses them.
+
+use super::patch::{NONE, Patch};
+use crate::topology::Kind;
+
+impl Patch {
+    /// Small components whose size is within `limit` (squared quanta) shrink to a point; at most `quota`
+    /// vertices go. Returns how many went.
+    pub fn vanish(&mut self, limit: f32, level: u8, quota: usize) -> usize {
+        let mut count = 0;
+        while let Some(&(size, _)) = self.input.components.last() {
+            if size > limit || count >= quota {
+                break;
+            }
+            let (_, members) = self.input.components.pop().expect("just seen");
+            let mut living = members.into_iter().filter(|&v| self.death[v as usize] == u8::MAX);
+            let Some(point) = living.next() else { continue };
+            let others: Vec<u32> = living.collect();
+            for c in self.corners(point).chain(others.iter().flat_map(|&v| self.corners(v))).collect::<Vec<_>>() {
+                self.input.triangles[c as usize / 3][0] = NONE;
+            }
+            count += others.len();
+            for v in others {
+                self.bury(v, point, level);
+            }
+            self.input.kinds[point as usize] = Kind::Locked;
+            self.points.push(point);
+        }
+        count
+    }
+
+    fn bury(&mut self, v: u32, parent: u32, level: u8) {
+        self.parent[v as usize] = parent;
+        self.death[v as usize] = level;
+        self.first[v as usize] = NONE;
+        self.alive -= 1;
+    }
+
+    /// Points left by components that vanished at an earlier level die: nothing draws them any more.
+    pub fn bury_points(&mut self, level: u8) -> usize {
+        let mut points = std::mem::take(&mut self.points);
+        points.sort_unstable();
+        let mut heirs: Vec<u32> = (0..self.death.len() as u32).filter(|&h| self.death[h as usize] == u8::MAX).collect();
+        if !points.is_empty() {
+            heirs.retain(|h| points.binary_search(h).is_err());
+        }
+        let mut count = 0;
+        for &v in &points {
+            let p = self.input.positions[v as usize];
+            let distance = |h: u32| self.input.positions[h as usize].distance_squared(p);
+            match heirs.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b))) {
+                Some(heir) => {
+                    self.bury(v, heir, level);
+                    count += 1;
+                }
+                None => self.points.push(v),
+            }
+        }
+        count
+    }
+}
