@@ -1,13 +1,16 @@
-//! pb-mesh
+//! Geometry kernels on slices: repair, normals, connectivity, segmentation, simplification, distances.
+//!
+//! Must never: do I/O, read a clock, keep a thread. Loops are data parallel, and no result depends on their order.
+
 mod closest;
+pub mod corners;
 pub mod deviation;
 pub mod mesh;
-pub mod weld;
-pub mod repair;
-pub mod polygon;
 pub mod normals;
-pub mod corners;
+pub mod polygon;
+pub mod repair;
 pub mod segment;
 pub mod simplify;
 pub mod split;
 pub mod topology;
+pub mod weld;

@@ -12,7 +12,9 @@ fn bumpy_sphere(n: u32) -> (Vec<[i32; 3]>, Vec<[u32; 3]>) {
     let (mut positions, mut triangles) = (Vec::new(), Vec::new());
     let mut vertex = |p: [i64; 3]| {
         *index.entry(p).or_insert_with(|| {
-            let d = DVec3::from_array(p.map(|x| (x as f64 / n as f64 * 2.0 - 1.0) * 0.7853)).to_array().map(f64::tan);
+            let d = DVec3::from_array(p.map(|x| (x as f64 / n as f64 * 2.0 - 1.0) * std::f64::consts::FRAC_PI_4))
+                .to_array()
+                .map(f64::tan);
             let d = DVec3::from_array(d).normalize();
             let r = 1.0 + 0.1 * (d.x * 7.0).sin() * (d.y * 5.0).cos() + 0.02 * (d.z * 31.0 + d.x * 17.0).sin();
             positions.push((d * r * 1e6).to_array().map(|x| x.round() as i32));

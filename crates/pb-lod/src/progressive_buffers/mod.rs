@@ -13,11 +13,11 @@
 //! - [`select`]: what to draw, load and give back in a frame.
 
 pub mod bake;
+#[cfg(test)]
+mod baked_torus;
 pub mod codec;
 pub mod display;
 pub mod displayed_surface;
-#[cfg(test)]
-mod baked_torus;
 #[cfg(test)]
 mod format_tests;
 #[cfg(test)]

@@ -27,10 +27,8 @@ pub(super) fn collapse_seam(seam: &Seam, a: &mut Patch, b: &mut Patch, limit: f3
     let mut queue = BinaryHeap::new();
     let living = |a: &Patch, v: [u32; 2]| a.death[v[0] as usize] == u8::MAX;
     for (i, &v) in seam.vertices.iter().enumerate() {
-        if living(a, v) {
-            if let Some(first) = moves(a, b, v).first() {
-                queue.push(Reverse((first.cost.to_bits(), i as u32)));
-            }
+        if let Some(first) = moves(a, b, v).first().filter(|_| living(a, v)) {
+            queue.push(Reverse((first.cost.to_bits(), i as u32)));
         }
     }
     let mut count = 0;

@@ -88,7 +88,7 @@ fn choose_quantum(extents: &[f64], span: f64) -> f64 {
 
 /// Smallest step in which an extent of `quanta` fits 16 bits.
 fn shift_for(quanta: i64) -> u32 {
-    (0..31).find(|s| quanta >> s <= MAX_OFFSET - 1).unwrap_or(31)
+    (0..31).find(|s| quanta >> s < MAX_OFFSET).unwrap_or(31)
 }
 
 fn snap_points(

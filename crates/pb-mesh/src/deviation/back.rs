@@ -1,0 +1,80 @@
+//! From the coarse surface back to the input, by samples.
+
+use super::{Field, GOOD_ENOUGH, relative};
+use crate::closest::closest_feature;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Steps over the input from a corner of a coarse triangle to a point of it.
+const MAX_WALK_BACK: usize = 128;
+
+/// How many corners of the nearest triangle a walk looks around at each step.
+#[derive(Clone, Copy, PartialEq)]
+enum Walk {
+    /// The nearest one.
+    Quick,
+    /// All three.
+    Thorough,
+}
+
+impl Field<'_> {
+    /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
+    /// where the map is torn, by a fold, coarse parts may lie outside of it.
+    pub(super) fn sampled_back(&self, floors: &[f32]) -> Vec<f32> {
+        // A coarse triangle of the first levels is hardly larger than the input's around it.
+        let steps = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).ilog2().min(6);
+        let steps = if steps < 3 { 1 } else { steps };
+        let samples = |(tri, &cluster): (&[u32; 3], &u32)| {
+            let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
+            let floor = floors[cluster as usize];
+            let distance = |at: Vec3, k: usize| {
+                let quick = self.distance_back(tri, at, k, Walk::Quick) * GOOD_ENOUGH;
+                let thorough =
+                    || (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough)).fold(f32::INFINITY, f32::min);
+                if quick > floor { thorough() * GOOD_ENOUGH } else { quick }
+            };
+            let mut most = distance((p[0] + p[1] + p[2]) / 3.0, 0);
+            for i in 0..=steps {
+                for j in 0..=steps - i {
+                    let k = steps - i - j;
+                    if i.max(j).max(k) < steps {
+                        let at = (p[0] * i as f32 + p[1] * j as f32 + p[2] * k as f32) / steps as f32;
+                        let nearest = if i >= j && i >= k { 0 } else { 1 + usize::from(k > j) };
+                        most = most.max(distance(at, nearest));
+                    }
+                }
+            }
+            most
+        };
+        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).map(samples).collect()
+    }
+
+    /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0.
+    fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk) -> f32 {
+        let (mut best, mut nearest) = (f32::INFINITY, [tri[k]; 3]);
+        for _ in 0..MAX_WALK_BACK {
+            let before = best;
+            let centers = if walk == Walk::Quick { &nearest[..1] } else { &nearest[..] };
+            let mut next = nearest;
+            for &center in centers {
+                for &t in self.pair.fine.around(center) {
+                    let fine = self.pair.triangles[t as usize];
+                    let corners = fine.map(|v| relative(self.pair.positions, tri[0], v));
+                    let square = closest_feature(at, corners).0.distance_squared(at);
+                    if square < best {
+                        best = square;
+                        next = fine;
+                        let far = |c: usize| corners[c].distance_squared(at);
+                        let k = (0..3).min_by(|&a, &b| far(a).total_cmp(&far(b))).expect("three corners");
+                        next.swap(0, k);
+                    }
+                }
+            }
+            if best == before || walk == Walk::Quick && next[0] == nearest[0] {
+                break;
+            }
+            nearest = next;
+        }
+        best.sqrt()
+    }
+}
