@@ -20,7 +20,7 @@ use std::collections::BinaryHeap;
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
 /// Subdivisions per cluster and level at most.
-const MAX_SPLITS: usize = 256;
+const MAX_SPLITS: usize = 64;
 /// Input triangles whose corners are all nearer than this share of the largest distance are not looked into: it would
 /// have to rise severalfold inside of them.
 const PLAUSIBLE: f32 = 0.4;

@@ -22,8 +22,7 @@ impl Field<'_> {
     /// where the map is torn, by a fold, coarse parts may lie outside of it.
     pub(super) fn sampled_back(&self, floors: &[f32]) -> Vec<f32> {
         // A coarse triangle of the first levels is hardly larger than the input's around it.
-        let steps = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).ilog2().min(6);
-        let steps = if steps < 3 { 1 } else { steps };
+        let steps = ((self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1).ilog2() / 2).clamp(1, 6);
         let samples = |(tri, &cluster): (&[u32; 3], &u32)| {
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             let floor = floors[cluster as usize];

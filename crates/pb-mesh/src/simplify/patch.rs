@@ -277,12 +277,17 @@ impl Patch {
     /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet. The cost is
     /// raised here where one triangle would turn far out of its plane, which the mean over all planes can hide.
     fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
+        let turn = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
+        let (cost, u) = self.best[v as usize];
+        if cost.max(self.largest_turn(v, u)) <= turn && self.legal(v, u, NONE) {
+            self.apply(v, u, level);
+            return true;
+        }
         self.gather(v);
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
         candidates.extend(self.ring.iter().filter(|&&u| self.allowed(v, u)).map(|&u| (self.cost(v, u), u)));
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let turn = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
         let mut best = (f32::INFINITY, NONE);
         for &(cost, u) in &candidates {
             if cost >= best.0 || best.0 <= turn {
