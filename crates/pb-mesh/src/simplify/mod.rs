@@ -28,7 +28,7 @@ const FAR_STEP: f64 = 0.75;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
 const MAX_RISE: f64 = 6.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
-const FREE_ERROR: f64 = 1e-3;
+const FREE_ERROR: f64 = 4e-3;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.
 const VANISH_SHARE: f32 = 0.25;
 

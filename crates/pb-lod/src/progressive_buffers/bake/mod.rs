@@ -248,7 +248,13 @@ fn measure_levels(
         vertices: grid.points.len() as u64,
     }];
     for level in 1..levels as u8 {
-        ancestors.par_iter_mut().for_each(|v| *v = collapses.ancestor(*v, level));
+        // A component that has vanished is measured against the point that it shrank to.
+        ancestors.par_iter_mut().for_each(|v| {
+            let a = collapses.ancestor(*v, level);
+            if collapses.components[a as usize] == collapses.components[*v as usize] {
+                *v = a;
+            }
+        });
         let kept: Vec<([u32; 3], u32)> = coarse
             .par_iter()
             .zip(&coarse_cluster)
