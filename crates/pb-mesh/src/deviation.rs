@@ -38,7 +38,7 @@ const GOOD_ENOUGH: f32 = 1.25;
 /// No coarse triangle: the component has vanished.
 const NONE: u32 = u32::MAX;
 
-/// Input surface and one level of it.
+/// A surface, the input or a finer level, and a level of it. "Input" stands for the finer one of the two below.
 pub struct LevelPair<'a> {
     /// Grid points.
     pub positions: &'a [[i32; 3]],
@@ -187,6 +187,9 @@ struct Field<'a> {
 impl Field<'_> {
     /// Distance of input position `v` to the coarse surface, and the triangle it is nearest to.
     fn nearest_of(&self, v: u32) -> (f32, u32) {
+        if self.pair.fine.around(v).is_empty() {
+            return (0.0, NONE);
+        }
         let a = self.pair.ancestors[v as usize];
         if self.pair.components[a as usize] != self.pair.components[v as usize] {
             return (0.0, NONE);

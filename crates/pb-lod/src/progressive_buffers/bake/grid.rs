@@ -124,10 +124,9 @@ fn coarsest_step(v: u32, cluster_of: &[u32], fans: &Fans, shifts: &[u32]) -> u32
 /// Gives positions that fell on one grid point, such as the split sheets of a non-manifold place, points of their own,
 /// the nearest free ones: a grid point names one position in the whole archive.
 fn part_equal(points: &mut [[i32; 3]], cluster_of: &[u32], fans: &Fans, shifts: &[u32]) {
-    let mut order: Vec<u32> = (0..points.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&v| (points[v as usize], v));
-    let equal = |w: &[u32]| points[w[0] as usize] == points[w[1] as usize];
-    let doubles: Vec<u32> = order.windows(2).filter(|w| equal(w)).map(|w| w[1]).collect();
+    let mut order: Vec<([i32; 3], u32)> = points.par_iter().enumerate().map(|(v, &p)| (p, v as u32)).collect();
+    order.par_sort_unstable();
+    let doubles: Vec<u32> = order.windows(2).filter(|w| w[0].0 == w[1].0).map(|w| w[1].1).collect();
     if doubles.is_empty() {
         return;
     }

@@ -228,7 +228,29 @@ struct LevelErrors {
     vertices: u64,
 }
 
+/// Levels that are this many steps apart are measured against each other.
+const MEASURE_STEP: usize = 2;
+
+/// A level as triangles over positions, with the cluster of each.
+struct LevelSurface {
+    triangles: Vec<[u32; 3]>,
+    cluster_of: Vec<u32>,
+}
+
+impl LevelSurface {
+    /// The next coarser level.
+    fn coarser(&self, collapses: &Collapses, level: u8) -> Self {
+        let at = |t: &[u32; 3]| t.map(|v| collapses.ancestor(v, level));
+        let kept = self.triangles.par_iter().zip(&self.cluster_of).map(|(t, &c)| (at(t), c));
+        let (triangles, cluster_of) = kept.filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).unzip();
+        LevelSurface { triangles, cluster_of }
+    }
+}
+
 /// Measures all levels; bounds never fall from a level to the next coarser one.
+///
+/// Levels 1 and 2 are measured against the input. Level i above is measured against level i - 2, which is several
+/// times smaller, and by the triangle inequality the bound of that level is added: a few percent of its own.
 fn measure_levels(
     triangles: &[[u32; 3]],
     clusters: &Clusters,
@@ -239,12 +261,11 @@ fn measure_levels(
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let open = open_positions(triangles, clusters);
     let mut ancestors: Vec<u32> = (0..grid.points.len() as u32).collect();
-    let (mut coarse, mut coarse_cluster) = (triangles.to_vec(), clusters.cluster_of.clone());
     let round_up = |x: f64| (x as f32).next_up();
-    let snap_rms = (grid.snap_squares / grid.points.len() as f64).sqrt();
+    let mut surfaces = vec![LevelSurface { triangles: triangles.to_vec(), cluster_of: clusters.cluster_of.clone() }];
     let mut list = vec![LevelErrors {
         max: grid.snap_errors.iter().map(|&e| round_up(e)).collect(),
-        rms: snap_rms,
+        rms: (grid.snap_squares / grid.points.len() as f64).sqrt(),
         vertices: grid.points.len() as u64,
     }];
     for level in 1..levels as u8 {
@@ -255,38 +276,34 @@ fn measure_levels(
                 *v = a;
             }
         });
-        let kept: Vec<([u32; 3], u32)> = coarse
-            .par_iter()
-            .zip(&coarse_cluster)
-            .map(|(t, &c)| (t.map(|v| collapses.ancestor(v, level)), c))
-            .filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0])
-            .collect();
-        (coarse, coarse_cluster) = kept.into_par_iter().unzip();
-        let deviation = measure(
-            &LevelPair {
-                positions: &grid.points,
-                triangles,
-                fine: &clusters.fans,
-                cluster_of: &clusters.cluster_of,
-                coarse: &coarse,
-                coarse_cluster_of: &coarse_cluster,
-                ancestors: &ancestors,
-                open: &open,
-                components: &collapses.components,
-            },
-            count,
-        );
-        let finer = list.last().expect("level 0 is there");
+        surfaces.push(surfaces[level as usize - 1].coarser(collapses, level));
+        let base = (level as usize).saturating_sub(MEASURE_STEP);
+        let (fine, coarse) = (&surfaces[base], &surfaces[level as usize]);
+        let fans = (base > 0).then(|| Fans::new(grid.points.len(), &fine.triangles));
+        let pair = LevelPair {
+            positions: &grid.points,
+            triangles: &fine.triangles,
+            fine: fans.as_ref().unwrap_or(&clusters.fans),
+            cluster_of: &fine.cluster_of,
+            coarse: &coarse.triangles,
+            coarse_cluster_of: &coarse.cluster_of,
+            ancestors: &ancestors,
+            open: &open,
+            components: &collapses.components,
+        };
+        let deviation = measure(&pair, count);
+        let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
         let bound = |c: usize| {
-            let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + grid.snap_errors[c];
+            let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
             round_up(distance).max(finer.max[c])
         };
-        let rms = (deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE)).sqrt() * grid.quantum;
-        list.push(LevelErrors {
+        let square = deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE) * grid.quantum * grid.quantum;
+        let next = LevelErrors {
             max: (0..count).map(bound).collect(),
-            rms: rms.max(finer.rms),
-            vertices: used_positions(&coarse, grid.points.len()),
-        });
+            rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
+            vertices: used_positions(&coarse.triangles, grid.points.len()),
+        };
+        list.push(next);
         progress(f32::from(level) / (levels - 1) as f32);
     }
     list
