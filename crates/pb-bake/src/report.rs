@@ -80,6 +80,7 @@ struct Repairs {
     boundary_edges: u64,
     nonmanifold_edges: u64,
     nonmanifold_vertices: u64,
+    nonmanifold_positions_split: u64,
     nonmanifold_positions_locked: u64,
 }
 
@@ -98,6 +99,7 @@ impl Repairs {
             (self.boundary_edges, "open edges"),
             (self.nonmanifold_edges, "non-manifold edges"),
             (self.nonmanifold_vertices, "non-manifold vertices"),
+            (self.nonmanifold_positions_split, "positions added to split non-manifold places"),
             (self.nonmanifold_positions_locked, "non-manifold positions locked"),
         ];
         let parts: Vec<String> = parts.iter().filter(|p| p.0 > 0).map(|(n, what)| format!("{n} {what}")).collect();
@@ -167,6 +169,7 @@ impl BakeSummary {
             boundary_edges: repairs.topology.boundary_edges,
             nonmanifold_edges: repairs.topology.nonmanifold_edges,
             nonmanifold_vertices: repairs.topology.nonmanifold_vertices,
+            nonmanifold_positions_split: repairs.positions_split,
             ..self.repairs
         };
         self

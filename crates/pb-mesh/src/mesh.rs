@@ -69,7 +69,7 @@ pub struct Wedge {
 
 /// The clean mesh that the bake works on.
 ///
-/// Guarantees: positions are finite and pairwise distinct (`-0.0` never occurs); every position and every wedge is
+/// Guarantees: positions are finite (`-0.0` never occurs) and pairwise distinct, but for the copies that split sheets get; every position and every wedge is
 /// used by a triangle; the three positions of a triangle are distinct; no two triangles have the same three
 /// positions; there is at least one triangle. When no position has several wedges, wedge `i` is that of position `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
