@@ -51,6 +51,15 @@ pub enum Kind {
     Locked,
 }
 
+/// The two clusters of a [`Kind::Border`] position, ascending.
+///
+/// # Panics
+/// When no triangle uses `v`.
+pub fn border_pair(v: u32, cluster_of: &[u32], fans: &Fans) -> [u32; 2] {
+    let around = || fans.around(v).iter().map(|&t| cluster_of[t as usize]);
+    [around().min().expect("a border position has triangles"), around().max().expect("the same")]
+}
+
 /// Kind of every position, and how many are not manifold. `cluster_of` gives each triangle's cluster.
 pub fn classify(triangles: &[[u32; 3]], cluster_of: &[u32], fans: &Fans, positions: usize) -> (Vec<Kind>, u64) {
     let kinds: Vec<(Kind, bool)> =

@@ -12,7 +12,7 @@ mod quadric;
 mod vanish;
 
 use crate::segment::{Segmentation, components};
-use crate::topology::{Fans, Kind};
+use crate::topology::{Fans, Kind, border_pair};
 use border::Seam;
 use glam::Vec3;
 use patch::{Patch, PatchInput};
@@ -280,10 +280,7 @@ fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<Seam> {
     let mut ends: Vec<([u32; 2], u32)> = (0..input.positions.len() as u32)
         .into_par_iter()
         .filter(|&v| input.kinds[v as usize] == Kind::Border)
-        .map(|v| {
-            let around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
-            ([around.clone().min().unwrap_or(0), around.max().unwrap_or(0)], v)
-        })
+        .map(|v| (border_pair(v, input.cluster_of, input.fans), v))
         .collect();
     ends.par_sort_unstable();
     ends.chunk_by(|a, b| a.0 == b.0)

@@ -20,7 +20,7 @@ use pb_mesh::deviation::{LevelPair, measure};
 use pb_mesh::mesh::Mesh;
 use pb_mesh::segment::{Segmentation, segment};
 use pb_mesh::simplify::{Collapses, UnisonInput, simplify};
-use pb_mesh::topology::{Fans, Kind, classify};
+use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
 
 /// Most neighbours that border slots can name.
@@ -183,13 +183,8 @@ impl Clusters {
 
     /// The two clusters of a border position, ascending.
     fn pair_of(&self, v: u32) -> [u32; 2] {
-        pair_of(v, &self.cluster_of, &self.fans)
+        border_pair(v, &self.cluster_of, &self.fans)
     }
-}
-
-fn pair_of(v: u32, cluster_of: &[u32], fans: &Fans) -> [u32; 2] {
-    let around = || fans.around(v).iter().map(|&t| cluster_of[t as usize]);
-    [around().min().expect("a border position has triangles"), around().max().expect("the same")]
 }
 
 /// Border slots name at most 255 neighbours of a cluster; borders with further ones stay as they are.
@@ -197,7 +192,7 @@ fn lock_excess_neighbours(kinds: &mut [Kind], cluster_of: &[u32], fans: &Fans, c
     let mut pairs: Vec<[u32; 2]> = (0..kinds.len() as u32)
         .into_par_iter()
         .filter(|&v| kinds[v as usize] == Kind::Border)
-        .map(|v| pair_of(v, cluster_of, fans))
+        .map(|v| border_pair(v, cluster_of, fans))
         .collect();
     pairs.par_sort_unstable();
     pairs.dedup();
@@ -212,7 +207,7 @@ fn lock_excess_neighbours(kinds: &mut [Kind], cluster_of: &[u32], fans: &Fans, c
     }
     if !excess.is_empty() {
         kinds.par_iter_mut().enumerate().filter(|k| *k.1 == Kind::Border).for_each(|(v, kind)| {
-            if excess.contains(&pair_of(v as u32, cluster_of, fans)) {
+            if excess.contains(&border_pair(v as u32, cluster_of, fans)) {
                 *kind = Kind::Locked;
             }
         });
