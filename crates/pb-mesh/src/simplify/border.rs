@@ -46,7 +46,7 @@ pub(super) fn collapse_seam(seam: &Seam, a: &mut Patch, b: &mut Patch, limit: f3
                 queue.push(Reverse((m.cost.to_bits(), i)));
                 break;
             }
-            if a.legal(v[0], m.to[0], m.along[0]) && b.legal(v[1], m.to[1], m.along[1]) {
+            if legal(seam.clusters, a, b, v, &m) {
                 a.apply(v[0], m.to[0], level);
                 b.apply(v[1], m.to[1], level);
                 count += 1;
@@ -55,6 +55,24 @@ pub(super) fn collapse_seam(seam: &Seam, a: &mut Patch, b: &mut Patch, limit: f3
         }
     }
     count
+}
+
+/// Is the move legal in both patches?
+fn legal(clusters: [u32; 2], a: &mut Patch, b: &mut Patch, v: [u32; 2], m: &Move) -> bool {
+    a.keeps_topology(v[0], m.to[0], |a, x| edge_is_free(a, b, clusters[1], [v[1], m.to[1]], m.to[0], x, m.along[0]))
+        && b.keeps_topology(v[1], m.to[1], |b, x| edge_is_free(b, a, clusters[0], [v[0], m.to[0]], m.to[1], x, m.along[1]))
+        && a.keeps_orientation(v[0], m.to[0])
+        && b.keeps_orientation(v[1], m.to[1])
+}
+
+/// May `here` get an edge from `u` to `x`? Not when another cluster may have it, or `there` (the cluster on the other
+/// side, where `gone` collapses) has it before or after the collapse. The edge to `along` becomes the border of both.
+fn edge_is_free(here: &Patch, there: &Patch, other: u32, gone: [u32; 2], u: u32, x: u32, along: u32) -> bool {
+    if here.shared(u).iter().any(|c| *c != other && here.shared(x).contains(c)) {
+        return false;
+    }
+    let twin = || there.input.global.binary_search(&here.input.global[x as usize]).expect("shared by both") as u32;
+    x == along || gone.iter().all(|&g| there.edge_count(twin(), g) == 0)
 }
 
 /// The one or two moves of a border vertex along its border, cheapest first.

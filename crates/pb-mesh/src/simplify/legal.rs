@@ -20,15 +20,14 @@ impl Patch {
         self.corners(v).map(height).fold(0.0, f32::max)
     }
 
-    /// Does the collapse keep the surface a manifold with the same borders, and turn no triangle over?
-    /// `along` is the vertex that a border collapse joins to `u` by a border edge, `NONE` otherwise.
-    pub fn legal(&mut self, v: u32, u: u32, along: u32) -> bool {
-        self.keeps_topology(v, u, along) && self.keeps_orientation(v, u)
+    /// Does a collapse inside the cluster keep the surface a manifold with the same borders, and turn no triangle over?
+    pub fn legal(&mut self, v: u32, u: u32) -> bool {
+        self.keeps_topology(v, u, |_, _| false) && self.keeps_orientation(v, u)
     }
 
-    /// Link condition (Dey et al. 1999), and no new edge between two border vertices that may have one in
-    /// another cluster already.
-    fn keeps_topology(&mut self, v: u32, u: u32, along: u32) -> bool {
+    /// Link condition (Dey et al. 1999). A new edge from `u` to a vertex that shares another cluster with it may exist
+    /// there already: `free` says whether it does not.
+    pub fn keeps_topology(&mut self, v: u32, u: u32, free: impl Fn(&Patch, u32) -> bool) -> bool {
         self.gather(u);
         let shared_triangles = self.edge_triangles(v);
         let epoch_u = self.epoch;
@@ -52,7 +51,7 @@ impl Patch {
                 self.marks[x as usize] = self.epoch;
                 if mark > epoch_u {
                     (common, opposite) = (common + 1, x);
-                } else if touches_border && x != along && intersects(self.shared(u), self.shared(x)) {
+                } else if touches_border && intersects(self.shared(u), self.shared(x)) && !free(self, x) {
                     return false;
                 }
             }
@@ -70,11 +69,12 @@ impl Patch {
         }
     }
 
-    fn edge_count(&self, a: u32, b: u32) -> usize {
+    pub fn edge_count(&self, a: u32, b: u32) -> usize {
         self.corners(a).filter(|&c| self.spokes(c).0 == b || self.spokes(c).1 == b).count()
     }
 
-    fn keeps_orientation(&self, v: u32, u: u32) -> bool {
+    /// Does no triangle turn further than a collapse may turn it?
+    pub fn keeps_orientation(&self, v: u32, u: u32) -> bool {
         let p = |x: u32| self.input.positions[x as usize];
         let (from, to) = (p(v), p(u));
         self.corners(v).all(|c| {

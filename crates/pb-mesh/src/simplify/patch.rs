@@ -279,7 +279,7 @@ impl Patch {
     fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
         let turn = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
         let (cost, u) = self.best[v as usize];
-        if cost.max(self.largest_turn(v, u)) <= turn && self.legal(v, u, NONE) {
+        if cost.max(self.largest_turn(v, u)) <= turn && self.legal(v, u) {
             self.apply(v, u, level);
             return true;
         }
@@ -294,7 +294,7 @@ impl Patch {
                 break;
             }
             let raised = cost.max(self.largest_turn(v, u));
-            if raised < best.0 && self.legal(v, u, NONE) {
+            if raised < best.0 && self.legal(v, u) {
                 best = (raised, u);
             }
         }
