@@ -32,9 +32,11 @@ const MAX_FAN_STEPS: usize = 8;
 /// Largest distance of a point of a triangle from its nearest corner, in longest edges: below `1 / sqrt(3)`.
 const FARTHEST_FROM_CORNERS: f32 = 0.578;
 /// Distances above this many root mean squares are searched for more thoroughly.
-const LARGE: f32 = 3.0;
+const LARGE: f32 = 4.0;
 /// A bound this close above the largest distance known is not refined.
 const GOOD_ENOUGH: f32 = 1.25;
+/// Sums run over blocks of this many, the same on any number of threads.
+const BLOCK: usize = 1 << 14;
 /// No coarse triangle: the component has vanished.
 const NONE: u32 = u32::MAX;
 
@@ -94,8 +96,7 @@ pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     let field = Field { pair, fans: &fans, bends: &bends };
     let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
-    let (sum, area) = squares(pair, &nearest);
-    let large = (sum / area.max(f64::MIN_POSITIVE)).sqrt() as f32 * LARGE;
+    let large = root_mean_square(&nearest) * LARGE;
     nearest.par_iter_mut().enumerate().filter(|(_, n)| n.0 > large && n.1 != NONE).for_each(|(v, n)| {
         let image = closest_on_triangle(Vec3::ZERO, field.corners(v as u32, n.1));
         let from = Mapped { at: Vec3::ZERO, image, distance: n.0, triangle: n.1 };
@@ -151,9 +152,15 @@ fn bends(pair: &LevelPair, fans: &Fans) -> Vec<f32> {
     (0..pair.positions.len() as u32).into_par_iter().map(of).collect()
 }
 
+/// Over positions.
+fn root_mean_square(nearest: &[(f32, u32)]) -> f32 {
+    let block = |b: &[(f32, u32)]| b.iter().map(|n| f64::from(n.0 * n.0)).sum::<f64>();
+    let sums: Vec<f64> = nearest.par_chunks(BLOCK).map(block).collect();
+    (sums.iter().sum::<f64>() / nearest.len() as f64).sqrt() as f32
+}
+
 /// Fixed blocks keep the order of the sums the same on any number of threads.
 fn squares(pair: &LevelPair, nearest: &[(f32, u32)]) -> (f64, f64) {
-    const BLOCK: usize = 1 << 14;
     let parts: Vec<(f64, f64)> = pair
         .triangles
         .par_chunks(BLOCK)
@@ -257,9 +264,11 @@ impl Field<'_> {
 
     /// Distance of a position on an open border to the border of the level; 0 for others.
     fn border_distance(&self, v: u32) -> f32 {
+        if !self.pair.open[v as usize] {
+            return 0.0;
+        }
         let a = self.pair.ancestors[v as usize];
-        if !self.pair.open[v as usize] || a == v || self.pair.components[a as usize] != self.pair.components[v as usize]
-        {
+        if a == v || self.pair.components[a as usize] != self.pair.components[v as usize] {
             return 0.0;
         }
         let from = relative(self.pair.positions, v, a);
@@ -309,15 +318,15 @@ impl Field<'_> {
     /// An input triangle whose corners land on several coarse triangles, if its bound can be above `floor`.
     fn whole(&self, t: [u32; 3], nearest: &[(f32, u32)], floor: f32) -> Option<Part> {
         let images = t.map(|v| nearest[v as usize]);
-        if images.iter().any(|i| i.1 == NONE) || self.common_triangle(t, images.map(|i| i.1)) {
+        let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
+        if most < floor * PLAUSIBLE
+            || images.iter().any(|i| i.1 == NONE)
+            || self.common_triangle(t, images.map(|i| i.1))
+        {
             return None;
         }
         let at: [Vec3; 3] = std::array::from_fn(|k| relative(self.pair.positions, t[0], t[k]));
         let longest = (0..3).map(|k| at[k].distance_squared(at[(k + 1) % 3])).fold(0.0, f32::max).sqrt();
-        let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
-        if most < floor * PLAUSIBLE {
-            return None;
-        }
         // Images are no further apart than the points and twice the distance; in a fan the surface between them
         // leaves the straight line no more steeply than the fan bends.
         let apart = (longest + 2.0 * most) * FARTHEST_FROM_CORNERS;

@@ -48,9 +48,30 @@ impl Field<'_> {
         self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).map(samples).collect()
     }
 
+    /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`.
+    fn nearest_vertex(&self, origin: u32, start: u32, at: Vec3) -> u32 {
+        let square = |v: u32| relative(self.pair.positions, origin, v).distance_squared(at);
+        let (mut now, mut best) = (start, square(start));
+        for _ in 0..MAX_WALK_BACK {
+            let before = now;
+            for &t in self.pair.fine.around(before) {
+                for v in self.pair.triangles[t as usize] {
+                    let d = square(v);
+                    if d < best {
+                        (now, best) = (v, d);
+                    }
+                }
+            }
+            if now == before {
+                break;
+            }
+        }
+        now
+    }
+
     /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0.
     fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk) -> f32 {
-        let (mut best, mut nearest) = (f32::INFINITY, [tri[k]; 3]);
+        let (mut best, mut nearest) = (f32::INFINITY, [self.nearest_vertex(tri[0], tri[k], at); 3]);
         for _ in 0..MAX_WALK_BACK {
             let before = best;
             let centers = if walk == Walk::Quick { &nearest[..1] } else { &nearest[..] };

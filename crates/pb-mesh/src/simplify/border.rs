@@ -5,15 +5,24 @@ use crate::topology::Kind;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// The border between two patches: matching local vertices that belong to exactly these two.
+/// The border between two patches.
 pub(super) struct Seam {
     /// The two clusters, ascending.
     pub clusters: [u32; 2],
-    /// Local indices in both patches.
-    pub vertices: Vec<[u32; 2]>,
+    /// Local indices in both patches of the positions that belong to exactly these two, ascending.
+    vertices: Vec<[u32; 2]>,
+    /// What the cheapest move of each vertex cost when it was last looked at.
+    known: Vec<Known>,
 }
 
-/// A border vertex, where it would go in both patches, and what that costs.
+/// The cost of a border vertex, and the weights of its quadrics at that time: it changes with them.
+#[derive(Clone, Copy)]
+struct Known {
+    cost: f32,
+    weights: [f32; 2],
+}
+
+/// Where a border vertex would go in both patches, and what that costs.
 #[derive(Clone, Copy)]
 struct Move {
     cost: f32,
@@ -22,47 +31,70 @@ struct Move {
     along: [u32; 2],
 }
 
-/// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many.
-pub(super) fn collapse_seam(seam: &Seam, a: &mut Patch, b: &mut Patch, limit: f32, level: u8) -> usize {
-    let mut queue = BinaryHeap::new();
-    let living = |a: &Patch, v: [u32; 2]| a.death[v[0] as usize] == u8::MAX;
-    for (i, &v) in seam.vertices.iter().enumerate() {
-        if let Some(first) = moves(a, b, v).first().filter(|_| living(a, v)) {
-            queue.push(Reverse((first.cost.to_bits(), i as u32)));
-        }
+impl Seam {
+    pub fn new(clusters: [u32; 2], vertices: Vec<[u32; 2]>) -> Self {
+        let known = vec![Known { cost: f32::INFINITY, weights: [f32::NAN; 2] }; vertices.len()];
+        Seam { clusters, vertices, known }
     }
-    let mut count = 0;
-    while let Some(Reverse((bits, i))) = queue.pop() {
-        if f32::from_bits(bits) > limit {
-            break;
-        }
-        let v = seam.vertices[i as usize];
-        if !living(a, v) {
-            continue;
-        }
-        for m in moves(a, b, v) {
-            // Costs only change by collapses next door, which bring this vertex back with its new cost.
-            if m.cost.to_bits() > bits && queue.peek().is_some_and(|t| m.cost.to_bits() > t.0.0) || m.cost > limit {
-                queue.push(Reverse((m.cost.to_bits(), i)));
-                break;
+
+    /// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many.
+    pub fn collapse(&mut self, a: &mut Patch, b: &mut Patch, limit: f32, level: u8) -> usize {
+        let mut queue = BinaryHeap::new();
+        for i in 0..self.vertices.len() {
+            let v = self.vertices[i];
+            let weights = [a.quadrics[v[0] as usize].weight, b.quadrics[v[1] as usize].weight];
+            if a.is_alive(v[0]) && self.known[i].weights != weights {
+                self.look_at(i, a, b);
             }
-            if legal(seam.clusters, a, b, v, &m) {
-                a.apply(v[0], m.to[0], level);
-                b.apply(v[1], m.to[1], level);
-                count += 1;
-                break;
+            if a.is_alive(v[0]) && self.known[i].cost <= limit {
+                queue.push(Reverse((self.known[i].cost.to_bits(), i as u32)));
             }
         }
+        let mut count = 0;
+        while let Some(Reverse((bits, i))) = queue.pop() {
+            let v = self.vertices[i as usize];
+            if f32::from_bits(bits) > limit {
+                break;
+            }
+            if !a.is_alive(v[0]) || self.known[i as usize].cost.to_bits() != bits {
+                continue;
+            }
+            for m in moves(a, b, v) {
+                if m.cost.to_bits() > bits {
+                    // Its turn comes later; what lies inside changed since it was looked at.
+                    self.known[i as usize].cost = m.cost;
+                    queue.push(Reverse((m.cost.to_bits(), i)));
+                    break;
+                }
+                if legal(self.clusters, a, b, v, &m) {
+                    a.apply(v[0], m.to[0], level);
+                    b.apply(v[1], m.to[1], level);
+                    count += 1;
+                    for next in [m.to[0], m.along[0]] {
+                        if let Ok(n) = self.vertices.binary_search_by_key(&next, |w| w[0]) {
+                            self.look_at(n, a, b);
+                            queue.push(Reverse((self.known[n].cost.to_bits(), n as u32)));
+                        }
+                    }
+                    break;
+                }
+            }
+        }
+        count
     }
-    count
+
+    fn look_at(&mut self, i: usize, a: &mut Patch, b: &mut Patch) {
+        let v = self.vertices[i];
+        let weights = [a.quadrics[v[0] as usize].weight, b.quadrics[v[1] as usize].weight];
+        let cost = moves(a, b, v).first().map_or(f32::INFINITY, |m| m.cost);
+        self.known[i] = Known { cost, weights };
+    }
 }
 
-/// Is the move legal in both patches?
+/// Is the move of `v`, whose fans are laid out, legal in both patches?
 fn legal(clusters: [u32; 2], a: &mut Patch, b: &mut Patch, v: [u32; 2], m: &Move) -> bool {
-    a.keeps_topology(v[0], m.to[0], |a, x| edge_is_free(a, b, clusters[1], [v[1], m.to[1]], m.to[0], x, m.along[0]))
-        && b.keeps_topology(v[1], m.to[1], |b, x| edge_is_free(b, a, clusters[0], [v[0], m.to[0]], m.to[1], x, m.along[1]))
-        && a.keeps_orientation(v[0], m.to[0])
-        && b.keeps_orientation(v[1], m.to[1])
+    a.keeps_topology(m.to[0], |a, x| edge_is_free(a, b, clusters[1], [v[1], m.to[1]], m.to[0], x, m.along[0]))
+        && b.keeps_topology(m.to[1], |b, x| edge_is_free(b, a, clusters[0], [v[0], m.to[0]], m.to[1], x, m.along[1]))
 }
 
 /// May `here` get an edge from `u` to `x`? Not when another cluster may have it, or `there` (the cluster on the other
@@ -72,12 +104,15 @@ fn edge_is_free(here: &Patch, there: &Patch, other: u32, gone: [u32; 2], u: u32,
         return false;
     }
     let twin = || there.input.global.binary_search(&here.input.global[x as usize]).expect("shared by both") as u32;
-    x == along || gone.iter().all(|&g| there.edge_count(twin(), g) == 0)
+    x == along || gone.iter().all(|&g| there.corners.edge_count(twin(), g) == 0)
 }
 
-/// The one or two moves of a border vertex along its border, cheapest first.
-fn moves(a: &Patch, b: &Patch, v: [u32; 2]) -> Vec<Move> {
-    let (Some(ends_a), Some(ends_b)) = (a.border_ends(v[0]), b.border_ends(v[1])) else { return Vec::new() };
+/// The one or two moves of a border vertex along its border that turn no triangle over, cheapest first. Lays out the fans
+/// of `v` in both patches.
+fn moves(a: &mut Patch, b: &mut Patch, v: [u32; 2]) -> Vec<Move> {
+    a.spread(v[0]);
+    b.spread(v[1]);
+    let (Some(ends_a), Some(ends_b)) = (a.fan.ends(), b.fan.ends()) else { return Vec::new() };
     // The border runs the other way round in the other patch: its next vertex is our previous one.
     let same = |x: u32, y: u32| a.input.global[x as usize] == b.input.global[y as usize];
     let ends_b = if same(ends_a[0], ends_b[0]) { ends_b } else { [ends_b[1], ends_b[0]] };
@@ -88,9 +123,11 @@ fn moves(a: &Patch, b: &Patch, v: [u32; 2]) -> Vec<Move> {
     for k in 0..2 {
         let to = [ends_a[k], ends_b[k]];
         if matches!(a.input.kinds[to[0] as usize], Kind::Border | Kind::Locked) {
-            list.push(Move { cost: joint_cost(a, b, v, to), to, along: [ends_a[1 - k], ends_b[1 - k]] });
+            let cost = joint_cost(a, b, v, to).max(a.turn(to[0])).max(b.turn(to[1]));
+            list.push(Move { cost, to, along: [ends_a[1 - k], ends_b[1 - k]] });
         }
     }
+    list.retain(|m| m.cost < f32::INFINITY);
     list.sort_by(|x, y| x.cost.total_cmp(&y.cost));
     list
 }

@@ -6,6 +6,8 @@
 //! Sander and Mitchell 2005, section 5.4, with one global limit instead of passes per cluster.
 
 mod border;
+mod corner_lists;
+mod fan;
 mod legal;
 mod patch;
 mod quadric;
@@ -29,6 +31,8 @@ const FAR_STEP: f64 = 0.75;
 const MAX_RISE: f64 = 6.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
 const FREE_ERROR: f64 = 4e-3;
+/// Collapses that a rank among all of them is estimated from.
+const RANK_SAMPLES: usize = 1 << 16;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.
 const VANISH_SHARE: f32 = 0.25;
 
@@ -77,11 +81,12 @@ impl Collapses {
 pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
     let component = components(input.positions.len(), input.triangles);
     let area = mean_area(input);
+    let members = Members::new(input);
     let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len())
         .into_par_iter()
-        .map(|c| Mutex::new(Patch::new(patch_input(input, &component, area, c as u32))))
+        .map(|c| Mutex::new(Patch::new(patch_input(input, &members, &component, area, c as u32))))
         .collect();
-    let seams = color_seams(build_seams(input, &patches));
+    let mut seams = color_seams(build_seams(input, &patches));
     let mut counts = vec![input.positions.len()];
     let mut search = Search::new(&patches, input.positions);
     let mut alive = input.positions.len();
@@ -96,7 +101,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             if round > 0 || level > 0 {
                 search.advance(&patches, alive as f64, target);
             }
-            alive -= run_round(&patches, &seams, search.limit, level as u8, target / alive as f64);
+            alive -= run_round(&patches, &mut seams, search.limit, level as u8, target / alive as f64);
             search.record(alive as f64);
             progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
         }
@@ -121,7 +126,7 @@ fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
 }
 
 /// One round under one cost limit; returns how many positions died.
-fn run_round(patches: &[Mutex<Patch>], seams: &[Vec<Seam>], limit: f32, level: u8, keep: f64) -> usize {
+fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, level: u8, keep: f64) -> usize {
     let inside: usize = patches
         .par_iter()
         .map(|p| {
@@ -131,13 +136,13 @@ fn run_round(patches: &[Mutex<Patch>], seams: &[Vec<Seam>], limit: f32, level: u
         })
         .sum();
     let along: usize = seams
-        .iter()
+        .iter_mut()
         .map(|group| {
-            let one = |s: &Seam| {
+            let one = |s: &mut Seam| {
                 let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
-                border::collapse_seam(s, &mut a, &mut b, limit, level)
+                s.collapse(&mut a, &mut b, limit, level)
             };
-            group.par_iter().map(one).sum::<usize>()
+            group.par_iter_mut().map(one).sum::<usize>()
         })
         .sum();
     inside + along
@@ -202,18 +207,54 @@ impl Search {
     }
 }
 
-/// The cost that `rank` queued collapses stay below; `None` when fewer are queued.
+/// The cost that about `rank` queued collapses stay below, estimated from samples; `None` when fewer are queued.
 fn cost_of_rank(patches: &[Mutex<Patch>], rank: usize) -> Option<f32> {
-    let mut costs: Vec<f32> = patches.par_iter().flat_map_iter(|p| lock(p).queued_costs()).collect();
+    let alive: usize = patches.iter().map(|p| lock(p).alive()).sum();
+    let step = (alive / RANK_SAMPLES).max(1);
+    let sampled = |p: &Mutex<Patch>| lock(p).queued_costs(step).collect::<Vec<f32>>();
+    let mut costs: Vec<f32> = patches.par_iter().flat_map_iter(sampled).collect();
+    let rank = rank / step;
     (rank < costs.len()).then(|| *costs.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-fn patch_input(input: &UnisonInput, component: &[u32], mean_area: f32, c: u32) -> PatchInput {
+/// The positions of every cluster, ascending, and where to find one among them.
+struct Members {
+    clusters: Vec<Vec<u32>>,
+    /// Place of each position that only one cluster uses; of others, in the last one.
+    place: Vec<u32>,
+}
+
+impl Members {
+    fn new(input: &UnisonInput) -> Self {
+        let mut clusters = vec![Vec::new(); input.segmentation.len()];
+        let mut place = vec![0; input.positions.len()];
+        for v in 0..input.positions.len() as u32 {
+            let mut around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
+            let alone = matches!(input.kinds[v as usize], Kind::Inner | Kind::Open);
+            for c in around.by_ref().take(if alone { 1 } else { usize::MAX }) {
+                let list: &mut Vec<u32> = &mut clusters[c as usize];
+                if list.last() != Some(&v) {
+                    place[v as usize] = list.len() as u32;
+                    list.push(v);
+                }
+            }
+        }
+        Members { clusters, place }
+    }
+
+    /// Local index of position `v` in cluster `c`, which uses it.
+    fn local(&self, c: u32, v: u32) -> u32 {
+        let list = &self.clusters[c as usize];
+        match self.place[v as usize] {
+            guess if list.get(guess as usize) == Some(&v) => guess,
+            _ => list.binary_search(&v).expect("a position of the cluster") as u32,
+        }
+    }
+}
+
+fn patch_input(input: &UnisonInput, members: &Members, component: &[u32], mean_area: f32, c: u32) -> PatchInput {
     let triangles = input.segmentation.cluster(c as usize);
-    let mut global: Vec<u32> = triangles.iter().flat_map(|&t| input.triangles[t as usize]).collect();
-    global.sort_unstable();
-    global.dedup();
-    let local = |v: &u32| global.binary_search(v).expect("collected above") as u32;
+    let global = members.clusters[c as usize].clone();
     let origin = input.positions[global[0] as usize];
     let positions = global.iter().map(|&v| {
         let p = input.positions[v as usize];
@@ -222,23 +263,17 @@ fn patch_input(input: &UnisonInput, component: &[u32], mean_area: f32, c: u32) -
     let (mut shared_start, mut shared) = (vec![0], Vec::new());
     for &v in &global {
         if matches!(input.kinds[v as usize], Kind::Border | Kind::Locked) {
-            let from = shared.len();
-            shared.extend(input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]).filter(|&o| o != c));
-            shared[from..].sort_unstable();
-            let mut kept = from;
-            for i in from..shared.len() {
-                if i == from || shared[i] != shared[i - 1] {
-                    shared[kept] = shared[i];
-                    kept += 1;
-                }
-            }
-            shared.truncate(kept);
+            let mut others: Vec<u32> = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]).collect();
+            others.retain(|&o| o != c);
+            others.sort_unstable();
+            others.dedup();
+            shared.extend(others);
         }
         shared_start.push(shared.len() as u32);
     }
     let positions: Vec<Vec3> = positions.collect();
     PatchInput {
-        triangles: triangles.iter().map(|&t| input.triangles[t as usize].map(|v| local(&v))).collect(),
+        triangles: triangles.iter().map(|&t| input.triangles[t as usize].map(|v| members.local(c, v))).collect(),
         kinds: global.iter().map(|&v| input.kinds[v as usize]).collect(),
         normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
         components: small_components(&global, component, &positions, &shared_start),
@@ -258,6 +293,9 @@ fn small_components(
     positions: &[Vec3],
     shared_start: &[u32],
 ) -> Vec<(f32, Vec<u32>)> {
+    if global.iter().all(|&v| component[v as usize] == component[global[0] as usize]) {
+        return Vec::new();
+    }
     let mut members: Vec<(u32, u32)> =
         global.iter().enumerate().map(|(i, &v)| (component[v as usize], i as u32)).collect();
     members.sort_unstable();
@@ -290,7 +328,7 @@ fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<Seam> {
                 let p = lock(&patches[clusters[k] as usize]);
                 p.input.global.binary_search(&v).expect("a border position is in both clusters") as u32
             };
-            Seam { clusters, vertices: group.iter().map(|&(_, v)| [local(0, v), local(1, v)]).collect() }
+            Seam::new(clusters, group.iter().map(|&(_, v)| [local(0, v), local(1, v)]).collect())
         })
         .collect()
 }

@@ -4,14 +4,14 @@
 //! Mitchell 2005, section 5.4). A patch alone collapses what lies inside the cluster; border vertices are
 //! moved by [`super::border`], which holds both patches.
 
+use super::corner_lists::{CornerLists, NONE};
+use super::fan::Fan;
 use super::quadric::Quadric;
 use crate::topology::Kind;
 use glam::Vec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// No vertex, no corner.
-pub(super) const NONE: u32 = u32::MAX;
 /// Weight of the plane that stands on an open border edge, times the squared edge length.
 const OPEN_BORDER_WEIGHT: f32 = 10.0;
 /// Weight of the bend of normals along a collapse: the appearance term, in squared edge lengths.
@@ -50,13 +50,12 @@ pub(super) struct Patch {
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
     pub(super) queue: BinaryHeap<Reverse<(u32, u32)>>,
-    /// Corner lists: first corner of a vertex, next corner in its list.
-    pub(super) first: Vec<u32>,
-    pub(super) next: Vec<u32>,
+    pub(super) corners: CornerLists,
     pub(super) marks: Vec<u32>,
     pub(super) epoch: u32,
     pub(super) ring: Vec<u32>,
-    pub(super) candidates: Vec<(f32, u32)>,
+    pub(super) fan: Fan,
+    candidates: Vec<(f32, u32)>,
     /// Points left over from vanished components, to die one level later.
     pub(super) points: Vec<u32>,
     pub(super) alive: usize,
@@ -72,17 +71,16 @@ impl Patch {
             quadrics: vec![Quadric::default(); n],
             best: vec![(f32::INFINITY, NONE); n],
             queue: BinaryHeap::new(),
-            first: vec![NONE; n],
-            next: vec![NONE; input.triangles.len() * 3],
+            corners: CornerLists::new(n, &input.triangles),
             marks: vec![0; n],
             epoch: 0,
             ring: Vec::new(),
+            fan: Fan::default(),
             candidates: Vec::new(),
             points: Vec::new(),
             alive: n,
             input,
         };
-        patch.link_corners();
         patch.sum_quadrics();
         let mut entries = Vec::with_capacity(n);
         for v in 0..n as u32 {
@@ -100,18 +98,15 @@ impl Patch {
         self.alive
     }
 
-    /// Costs of the cheapest collapses of all vertices that move alone and have one.
-    pub fn queued_costs(&self) -> Vec<f32> {
-        let costs = self.best.iter().zip(&self.death).filter(|(b, d)| b.1 != NONE && **d == u8::MAX);
-        costs.map(|(b, _)| b.0).collect()
+    /// Does the vertex still live?
+    pub fn is_alive(&self, v: u32) -> bool {
+        self.death[v as usize] == u8::MAX
     }
 
-    fn link_corners(&mut self) {
-        for c in (0..self.next.len()).rev() {
-            let v = self.input.triangles[c / 3][c % 3] as usize;
-            self.next[c] = self.first[v];
-            self.first[v] = c as u32;
-        }
+    /// Costs of the cheapest collapses of every `step`th vertex, if it moves alone and has one.
+    pub fn queued_costs(&self, step: usize) -> impl Iterator<Item = f32> {
+        let costs = self.best.iter().zip(&self.death).step_by(step);
+        costs.filter(|(b, d)| b.1 != NONE && **d == u8::MAX).map(|(b, _)| b.0)
     }
 
     fn sum_quadrics(&mut self) {
@@ -143,47 +138,15 @@ impl Patch {
     }
 
     fn has_half_edge(&self, a: u32, b: u32) -> bool {
-        self.corners(a).any(|c| self.spokes(c).0 == b)
-    }
-
-    /// Corners of living triangles at `v`.
-    pub(super) fn corners(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
-        let mut c = self.first[v as usize];
-        std::iter::from_fn(move || {
-            while c != NONE {
-                let now = c;
-                c = self.next[c as usize];
-                if self.input.triangles[now as usize / 3][0] != NONE {
-                    return Some(now);
-                }
-            }
-            None
-        })
-    }
-
-    /// The two other vertices of a corner's triangle, in its order.
-    pub(super) fn spokes(&self, corner: u32) -> (u32, u32) {
-        let t = self.input.triangles[corner as usize / 3];
-        match corner % 3 {
-            0 => (t[1], t[2]),
-            1 => (t[2], t[0]),
-            _ => (t[0], t[1]),
-        }
+        self.corners.around(a).any(|c| c.a == b)
     }
 
     /// Fills `ring` with the neighbours of `v` and marks each with the number of triangles on its edge.
     pub(super) fn gather(&mut self, v: u32) {
         self.epoch += EPOCH;
         self.ring.clear();
-        let mut c = self.first[v as usize];
-        while c != NONE {
-            let now = c;
-            c = self.next[c as usize];
-            if self.input.triangles[now as usize / 3][0] == NONE {
-                continue;
-            }
-            let (a, b) = self.spokes(now);
-            for x in [a, b] {
+        for c in self.corners.around(v) {
+            for x in [c.a, c.b] {
                 let m = &mut self.marks[x as usize];
                 if *m < self.epoch {
                     *m = self.epoch;
@@ -204,32 +167,47 @@ impl Patch {
         self.death[v as usize] == u8::MAX && matches!(self.input.kinds[v as usize], Kind::Inner | Kind::Open)
     }
 
-    /// May `v`, just gathered, collapse onto its neighbour `u`? Kinds only (design I2).
-    fn allowed(&self, v: u32, u: u32) -> bool {
-        match self.input.kinds[v as usize] {
-            Kind::Inner => true,
-            Kind::Open => {
-                self.edge_triangles(u) == 1 && matches!(self.input.kinds[u as usize], Kind::Open | Kind::Locked)
+    /// Where the vertex of the fan may go, into `candidates`, with raw costs. Kinds only (design I2).
+    fn list_candidates(&mut self) {
+        let (v, mut list) = (self.fan.center, std::mem::take(&mut self.candidates));
+        list.clear();
+        let scale = self.scale(v);
+        let open = match self.input.kinds[v as usize] {
+            Kind::Inner => false,
+            Kind::Open => true,
+            Kind::Border | Kind::Locked => return,
+        };
+        let target = |u: u32| !open || matches!(self.input.kinds[u as usize], Kind::Open | Kind::Locked);
+        // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
+        let mut add = |u: u32| {
+            if target(u) {
+                list.push((self.cost(v, u, scale), u));
             }
-            Kind::Border | Kind::Locked => false,
+        };
+        match open {
+            true => self.fan.ends().into_iter().flatten().for_each(&mut add),
+            false => self.fan.spokes.iter().map(|s| s.a).for_each(&mut add),
         }
+        self.candidates = list;
     }
 
     /// Cost of moving `v` onto `u`, squared quanta: distance to the planes merged into `v`, and the bend of normals.
-    pub fn cost(&self, v: u32, u: u32) -> f32 {
+    fn cost(&self, v: u32, u: u32, scale: f32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
-        self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d)
+        self.quadrics[v as usize].at(d) * scale + self.appearance_cost(v, u, d)
     }
 
-    /// Squared distance at offset `d` from `v`, and the area of the planes behind it. Between the mean over those planes,
-    /// which keeps the largest distance down, and their sum, which keeps the mean over the whole surface down.
+    /// What makes a quadric's value a cost. Between the mean over its planes, which keeps the largest distance down, and
+    /// their sum, which keeps the mean over the whole surface down.
+    fn scale(&self, v: u32) -> f32 {
+        let weight = self.quadrics[v as usize].weight;
+        if weight > 0.0 { (1.0 + (weight / self.input.mean_area).sqrt()) / weight } else { 0.0 }
+    }
+
+    /// Squared distance at offset `d` from `v`, scaled, and the area of the planes behind it.
     pub fn geometric_cost(&self, v: u32, d: Vec3) -> (f32, f32) {
         let q = &self.quadrics[v as usize];
-        if q.weight > 0.0 {
-            (q.at(d) / q.weight * (1.0 + (q.weight / self.input.mean_area).sqrt()), q.weight)
-        } else {
-            (0.0, 0.0)
-        }
+        (q.at(d) * self.scale(v), q.weight)
     }
 
     /// Cost of the normals' bend and of plain length.
@@ -238,14 +216,17 @@ impl Patch {
         d.length_squared() * (NORMAL_WEIGHT * bend * bend + LENGTH_WEIGHT)
     }
 
+    /// Cheapest target of `v` and its cost, raised where one triangle would turn far out of its plane, which the mean
+    /// over all planes can hide.
     fn cheapest(&mut self, v: u32) -> (f32, u32) {
-        self.gather(v);
+        self.spread(v);
+        self.list_candidates();
         let mut best = (f32::INFINITY, NONE);
-        for &u in &self.ring {
-            if self.allowed(v, u) {
-                let c = self.cost(v, u);
-                if c < best.0 {
-                    best = (c, u);
+        for &(cost, u) in &self.candidates {
+            if cost < best.0 {
+                let raised = cost.max(self.turn(u));
+                if raised < best.0 {
+                    best = (raised, u);
                 }
             }
         }
@@ -274,57 +255,34 @@ impl Patch {
         count
     }
 
-    /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet. The cost is
-    /// raised here where one triangle would turn far out of its plane, which the mean over all planes can hide.
+    /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet.
     fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
-        let turn = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
+        let due = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
         let (cost, u) = self.best[v as usize];
-        if cost.max(self.largest_turn(v, u)) <= turn && self.legal(v, u) {
+        self.spread(v);
+        if cost.max(self.turn(u)) <= due && self.keeps_topology(u, |_, _| false) {
             self.apply(v, u, level);
             return true;
         }
-        self.gather(v);
+        self.best[v as usize] = (f32::INFINITY, NONE);
+        self.list_candidates();
         let mut candidates = std::mem::take(&mut self.candidates);
-        candidates.clear();
-        candidates.extend(self.ring.iter().filter(|&&u| self.allowed(v, u)).map(|&u| (self.cost(v, u), u)));
+        candidates.iter_mut().for_each(|c| c.0 = c.0.max(self.turn(c.1)));
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut best = (f32::INFINITY, NONE);
-        for &(cost, u) in &candidates {
-            if cost >= best.0 || best.0 <= turn {
+        let mut done = false;
+        for &(cost, u) in candidates.iter().filter(|c| c.0 < f32::INFINITY) {
+            if cost > due {
+                self.enqueue(v, (cost, u));
                 break;
             }
-            let raised = cost.max(self.largest_turn(v, u));
-            if raised < best.0 && self.legal(v, u) {
-                best = (raised, u);
+            if self.keeps_topology(u, |_, _| false) {
+                self.apply(v, u, level);
+                done = true;
+                break;
             }
         }
         self.candidates = candidates;
-        self.best[v as usize] = (f32::INFINITY, NONE);
-        if best.1 == NONE {
-            return false;
-        }
-        if best.0 > turn {
-            self.enqueue(v, best);
-            return false;
-        }
-        self.apply(v, best.1, level);
-        true
-    }
-
-    /// The two neighbours of `v` along the border of the patch: the one its fan starts with and the one it
-    /// ends with. `None` when the fan is not one open run.
-    pub fn border_ends(&self, v: u32) -> Option<[u32; 2]> {
-        let mut ends = [NONE; 2];
-        for c in self.corners(v) {
-            let (after, before) = self.spokes(c);
-            if !self.corners(v).any(|o| self.spokes(o).1 == after) && std::mem::replace(&mut ends[0], after) != NONE {
-                return None;
-            }
-            if !self.corners(v).any(|o| self.spokes(o).0 == before) && std::mem::replace(&mut ends[1], before) != NONE {
-                return None;
-            }
-        }
-        (ends[0] != NONE && ends[1] != NONE).then_some(ends)
+        done
     }
 
     /// Other clusters that use `v`.
@@ -341,33 +299,8 @@ impl Patch {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         let q = self.quadrics[v as usize].moved(d);
         self.quadrics[u as usize].add(&q);
-        self.move_corners(v, u);
+        self.corners.merge(v, u);
         self.refresh_around(u, v);
-    }
-
-    fn move_corners(&mut self, v: u32, u: u32) {
-        let mut kept = NONE;
-        for from in [v, u] {
-            let mut c = self.first[from as usize];
-            while c != NONE {
-                let next = self.next[c as usize];
-                let t = &mut self.input.triangles[c as usize / 3];
-                if t[0] != NONE && from == v {
-                    if t.contains(&u) {
-                        t[0] = NONE;
-                    } else {
-                        t[c as usize % 3] = u;
-                    }
-                }
-                if t[0] != NONE {
-                    self.next[c as usize] = kept;
-                    kept = c;
-                }
-                c = next;
-            }
-        }
-        self.first[v as usize] = NONE;
-        self.first[u as usize] = kept;
     }
 
     /// Costs of `u` and its ring after something (`gone`) collapsed onto `u`.
@@ -379,16 +312,18 @@ impl Patch {
                 continue;
             }
             let (cost, target) = self.best[x as usize];
-            if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
-                let best = self.cheapest(x);
-                if best != (cost, target) {
-                    self.enqueue(x, best);
-                }
+            let best = if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
+                self.cheapest(x)
             } else {
-                let c = self.cost(x, u);
-                if c < cost {
-                    self.enqueue(x, (c, u));
+                let raw = self.cost(x, u, self.scale(x));
+                if raw >= cost {
+                    continue;
                 }
+                self.spread(x);
+                (raw.max(self.turn(u)), u)
+            };
+            if best.0 < cost || target == gone || self.input.kinds[x as usize] == Kind::Open {
+                self.enqueue(x, best);
             }
         }
         self.ring = ring;

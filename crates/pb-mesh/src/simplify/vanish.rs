@@ -1,6 +1,6 @@
 //! Small components that shrink to a point: below a level's error nobody misses them.
 
-use super::patch::{NONE, Patch};
+use super::patch::Patch;
 use crate::topology::Kind;
 
 impl Patch {
@@ -16,9 +16,8 @@ impl Patch {
             let mut living = members.into_iter().filter(|&v| self.death[v as usize] == u8::MAX);
             let Some(point) = living.next() else { continue };
             let others: Vec<u32> = living.collect();
-            for c in self.corners(point).chain(others.iter().flat_map(|&v| self.corners(v))).collect::<Vec<_>>() {
-                self.input.triangles[c as usize / 3][0] = NONE;
-            }
+            self.corners.drop_around(point);
+            others.iter().for_each(|&v| self.corners.drop_around(v));
             count += others.len();
             for v in others {
                 self.bury(v, point, level);
@@ -32,7 +31,6 @@ impl Patch {
     fn bury(&mut self, v: u32, parent: u32, level: u8) {
         self.parent[v as usize] = parent;
         self.death[v as usize] = level;
-        self.first[v as usize] = NONE;
         self.alive -= 1;
     }
 

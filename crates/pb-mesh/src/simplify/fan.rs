@@ -1,0 +1,79 @@
+//! The triangles around one vertex, laid out for the many questions that a collapse asks of them.
+
+use super::corner_lists::NONE;
+use super::patch::Patch;
+use glam::Vec3;
+
+/// A triangle may turn by at most about 75 degrees in one collapse.
+const MIN_TURN_COSINE: f32 = 0.25;
+
+/// A triangle of the fan: its two other vertices in its order, where they are from the centre, and its unit normal.
+#[derive(Clone, Copy)]
+pub(super) struct Spoke {
+    pub a: u32,
+    pub b: u32,
+    at_a: Vec3,
+    at_b: Vec3,
+    /// Zero for triangles without area.
+    normal: Vec3,
+}
+
+/// The living triangles around a vertex.
+#[derive(Default)]
+pub(super) struct Fan {
+    pub center: u32,
+    pub spokes: Vec<Spoke>,
+}
+
+impl Fan {
+    /// The neighbours that the fan starts with and ends with, if it is one open run.
+    pub fn ends(&self) -> Option<[u32; 2]> {
+        let mut ends = [NONE; 2];
+        for s in &self.spokes {
+            if !self.spokes.iter().any(|o| o.b == s.a) && std::mem::replace(&mut ends[0], s.a) != NONE {
+                return None;
+            }
+            if !self.spokes.iter().any(|o| o.a == s.b) && std::mem::replace(&mut ends[1], s.b) != NONE {
+                return None;
+            }
+        }
+        (ends[0] != NONE && ends[1] != NONE).then_some(ends)
+    }
+}
+
+impl Patch {
+    /// Lays out the fan of `v`.
+    pub(super) fn spread(&mut self, v: u32) {
+        self.fan.center = v;
+        self.fan.spokes.clear();
+        let positions = &self.input.positions;
+        let center = positions[v as usize];
+        self.fan.spokes.extend(self.corners.around(v).map(|c| {
+            let (at_a, at_b) = (positions[c.a as usize] - center, positions[c.b as usize] - center);
+            let normal = at_a.cross(at_b);
+            let length = normal.length();
+            let normal = if length > 0.0 { normal / length } else { Vec3::ZERO };
+            Spoke { a: c.a, b: c.b, at_a, at_b, normal }
+        }));
+    }
+
+    /// Largest squared distance of `u` from the planes of the fan; infinite when a triangle would turn over as the centre
+    /// moves to `u`.
+    pub(super) fn turn(&self, u: u32) -> f32 {
+        let d = self.input.positions[u as usize] - self.input.positions[self.fan.center as usize];
+        let mut most = 0f32;
+        for s in &self.fan.spokes {
+            if s.a == u || s.b == u || s.normal == Vec3::ZERO {
+                continue;
+            }
+            let turned = (s.at_a - d).cross(s.at_b - d);
+            let along = turned.dot(s.normal);
+            if along <= 0.0 || along * along <= MIN_TURN_COSINE * MIN_TURN_COSINE * turned.length_squared() {
+                return f32::INFINITY;
+            }
+            let height = s.normal.dot(d);
+            most = most.max(height * height);
+        }
+        most
+    }
+}
