@@ -138,3 +138,29 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     };
     assert_eq!(with(1), with(3));
 }
+
+#[test]
+fn triangular_holes_close_instead_of_stopping_the_simplification() {
+    let (positions, mut triangles) = bumpy_sphere(40);
+    let mut near_hole = vec![false; positions.len()];
+    triangles.retain(|t| {
+        let hole = t.iter().all(|&v| !near_hole[v as usize]) && t[0] % 5 == 0;
+        if hole {
+            t.iter().for_each(|&v| near_hole[v as usize] = true);
+        }
+        !hole
+    });
+    let holes = near_hole.iter().filter(|&&n| n).count() / 3;
+    assert!(holes > 300, "{holes} holes");
+    let b = run(&positions, &triangles, 100_000, 5, 4.0);
+    for l in 0..5u8 {
+        let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
+        for (t, _) in level(&b, l) {
+            (0..3).for_each(|k| *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1);
+        }
+        assert!(edges.values().all(|n| *n == 1), "level {l} is no manifold");
+        let count = b.collapses.counts[l as usize] as f64;
+        let target = positions.len() as f64 / 4f64.powi(l as i32);
+        assert!(count / target < 1.02, "level {l}: {count} of {target}");
+    }
+}

@@ -2,6 +2,7 @@
 
 use super::corner_lists::NONE;
 use super::patch::{EPOCH, Patch};
+use crate::topology::Kind;
 
 impl Patch {
     /// Does the collapse of the fan's centre onto `u` keep the surface a manifold with the same borders? Link condition
@@ -30,8 +31,8 @@ impl Patch {
                 }
             }
         }
-        if common != shared_triangles || common == 0 {
-            return false;
+        if shared_triangles == 0 || common != shared_triangles {
+            return shared_triangles == 1 && common == 2 && self.closed_hole(u).is_some();
         }
         match self.fan.spokes.len() {
             1 => self.corners.edge_count(opposite, u) > 1,
@@ -41,6 +42,20 @@ impl Patch {
                 .any(|c| c.a != v && c.b != v && [c.a, c.b].iter().all(|&x| self.marks[x as usize] == self.epoch)),
             _ => true,
         }
+    }
+}
+
+impl Patch {
+    /// The third corner of a triangular hole that the collapse of the fan's centre onto `u` closes, if it does. Where scans
+    /// have thousands of small holes, these could not simplify any further otherwise.
+    pub fn closed_hole(&self, u: u32) -> Option<u32> {
+        let open = |v: u32| self.input.kinds[v as usize] == Kind::Open;
+        let [start, end] = self.fan.ends().filter(|_| open(self.fan.center) && open(u))?;
+        let third = if u == start { end } else { start };
+        let mut beside = self.corners.around(u).filter(|c| c.a == third || c.b == third);
+        let only = beside.next().filter(|_| beside.next().is_none())?;
+        // The border runs on from `u` to the third corner in the same sense.
+        (open(third) && start != end && third == if u == start { only.a } else { only.b }).then_some(third)
     }
 }
 

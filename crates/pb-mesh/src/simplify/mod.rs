@@ -28,9 +28,9 @@ const MAX_ROUNDS: usize = 64;
 /// Share of the remaining way (in log counts) that one round aims for while far from the target.
 const FAR_STEP: f64 = 0.75;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
-const MAX_RISE: f64 = 6.0;
+const MAX_RISE: f64 = 16.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
-const FREE_ERROR: f64 = 4e-3;
+const FREE_ERROR: f64 = 2e-2;
 /// Collapses that a rank among all of them is estimated from.
 const RANK_SAMPLES: usize = 1 << 16;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.

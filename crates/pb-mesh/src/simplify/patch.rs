@@ -299,6 +299,12 @@ impl Patch {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         let q = self.quadrics[v as usize].moved(d);
         self.quadrics[u as usize].add(&q);
+        if let Some(third) = self.closed_hole(u) {
+            for x in [u, third] {
+                self.input.kinds[x as usize] = Kind::Inner;
+                self.best[x as usize] = (f32::INFINITY, NONE);
+            }
+        }
         self.corners.merge(v, u);
         self.refresh_around(u, v);
     }
