@@ -8,6 +8,9 @@ use rayon::prelude::*;
 /// Steps over the input from a corner of a coarse triangle to a point of it.
 const MAX_WALK_BACK: usize = 128;
 
+/// Samples along the edge of a coarse triangle at most.
+const MAX_STEPS: u32 = 12;
+
 /// How many corners of the nearest triangle a walk looks around at each step.
 #[derive(Clone, Copy, PartialEq)]
 enum Walk {
@@ -21,10 +24,17 @@ impl Field<'_> {
     /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
     /// where the map is torn, by a fold, coarse parts may lie outside of it.
     pub(super) fn sampled_back(&self, floors: &[f32]) -> Vec<f32> {
-        // A coarse triangle of the first levels is hardly larger than the input's around it.
-        let steps = ((self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1).ilog2() / 2).clamp(1, 6);
-        let samples = |(tri, &cluster): (&[u32; 3], &u32)| {
+        // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
+        let typical = ((self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1).ilog2() / 2).clamp(1, 6);
+        let longest = |tri: &[u32; 3]| {
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
+            (0..3).map(|k| p[k].distance_squared(p[(k + 1) % 3])).fold(0.0, f32::max).sqrt()
+        };
+        let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
+        let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
+        let samples = |((tri, &cluster), &length): ((&[u32; 3], &u32), &f32)| {
+            let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
+            let steps = typical.max((typical as f32 * length / mean) as u32).min(MAX_STEPS);
             let floor = floors[cluster as usize];
             let distance = |at: Vec3, k: usize| {
                 let quick = self.distance_back(tri, at, k, Walk::Quick) * GOOD_ENOUGH;
@@ -45,7 +55,7 @@ impl Field<'_> {
             }
             most
         };
-        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).map(samples).collect()
+        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).zip(&lengths).map(samples).collect()
     }
 
     /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`.

@@ -59,7 +59,10 @@ impl Seam {
             if !a.is_alive(v[0]) || self.known[i as usize].cost.to_bits() != bits {
                 continue;
             }
-            for m in moves(a, b, v) {
+            for mut m in moves(a, b, v) {
+                if m.cost.to_bits() <= bits {
+                    m.cost = m.cost.max(a.reach(m.to[0])).max(b.reach(m.to[1]));
+                }
                 if m.cost.to_bits() > bits {
                     // Its turn comes later; what lies inside changed since it was looked at.
                     self.known[i as usize].cost = m.cost;

@@ -2,10 +2,14 @@
 
 use super::corner_lists::NONE;
 use super::patch::Patch;
+use crate::closest::closest_on_triangle;
 use glam::Vec3;
 
 /// A triangle may turn by at most about 75 degrees in one collapse.
 const MIN_TURN_COSINE: f32 = 0.25;
+
+/// Squared distance of a witness, in terms of the cost of planes, which is near a mean.
+const WITNESS_WEIGHT: f32 = 3.0;
 
 /// A triangle of the fan: its two other vertices in its order, where they are from the centre, and its unit normal.
 #[derive(Clone, Copy)]
@@ -75,5 +79,37 @@ impl Patch {
             most = most.max(height * height);
         }
         most
+    }
+
+    /// Cost of the largest distance of the witnesses of the fan's centre and of `u` from the triangles around `u` after the
+    /// collapse; that witness is kept in `farthest`. The planes of a thin spike do not resist when its tip moves down; its
+    /// tip does.
+    pub(super) fn reach(&mut self, u: u32) -> f32 {
+        if !self.watchful {
+            return 0.0;
+        }
+        let positions = &self.input.positions;
+        let (v, to) = (self.fan.center, positions[u as usize]);
+        let (from, behind, beyond) = (positions[v as usize], self.witness[v as usize], self.witness[u as usize]);
+        let mut far = (0.0, to);
+        for w in
+            [Some(from), (behind != from).then_some(behind), (beyond != to).then_some(beyond)].into_iter().flatten()
+        {
+            let kept = self.fan.spokes.iter().filter(|s| s.a != u && s.b != u).map(|s| (s.a, s.b));
+            let own = self.corners.around(u).filter(|c| c.a != v && c.b != v).map(|c| (c.a, c.b));
+            let mut least = f32::INFINITY;
+            for (a, b) in kept.chain(own) {
+                let q = closest_on_triangle(w, [to, positions[a as usize], positions[b as usize]]);
+                least = least.min(q.distance_squared(w));
+                if least <= far.0 {
+                    break;
+                }
+            }
+            if least.is_finite() && least > far.0 {
+                far = (least, w);
+            }
+        }
+        self.farthest = far.1;
+        far.0 * WITNESS_WEIGHT
     }
 }

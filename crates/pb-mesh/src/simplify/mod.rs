@@ -27,6 +27,10 @@ const TARGET_TOLERANCE: f64 = 1.004;
 const MAX_ROUNDS: usize = 64;
 /// Share of the remaining way (in log counts) that one round aims for while far from the target.
 const FAR_STEP: f64 = 0.75;
+/// Below this many vertices single collapses matter: the limit rises in small steps to the end.
+const SMALL_COUNT: f64 = 4096.0;
+/// The same share there.
+const SMALL_STEP: f64 = 0.4;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
 const MAX_RISE: f64 = 16.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
@@ -92,6 +96,8 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let mut alive = input.positions.len();
     for level in 0..levels - 1 {
         alive -= patches.iter().map(|p| lock(p).bury_points(level as u8)).sum::<usize>();
+        // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
+        patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
         search.start_level(level, ratio);
         for round in 0..MAX_ROUNDS {
@@ -200,7 +206,11 @@ impl Search {
     /// collapses are queued as positions are to die: collapses rarely make others cheaper.
     fn advance(&mut self, patches: &[Mutex<Patch>], count: f64, target: f64) {
         let gap = (target / count).ln();
-        let aim = if gap < -0.1 { gap * FAR_STEP } else { gap };
+        let aim = match gap {
+            _ if count < SMALL_COUNT => gap * SMALL_STEP,
+            far if far < -0.1 => far * FAR_STEP,
+            near => near,
+        };
         let factor = (aim / self.slope).exp().clamp(1.01, 6.0) as f32;
         let queued = cost_of_rank(patches, (count - target) as usize).unwrap_or(f32::INFINITY);
         self.limit = (self.limit * factor).min(queued.max(self.limit * 1.01)).min(self.end);

@@ -47,6 +47,8 @@ pub(super) struct Patch {
     /// Level of death; `u8::MAX` while alive.
     pub death: Vec<u8>,
     pub(super) quadrics: Vec<Quadric>,
+    /// What makes each quadric's value a cost; see [`scale`].
+    scales: Vec<f32>,
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
     pub(super) queue: BinaryHeap<Reverse<(u32, u32)>>,
@@ -59,6 +61,13 @@ pub(super) struct Patch {
     /// Points left over from vanished components, to die one level later.
     pub(super) points: Vec<u32>,
     pub(super) alive: usize,
+    /// A point of the finer surface that the triangles around each vertex stand for: the one furthest from them when it
+    /// was last looked at; the vertex itself at first.
+    pub(super) witness: Vec<Vec3>,
+    /// See [`Patch::reach`].
+    pub(super) farthest: Vec3,
+    /// Do costs count the distance of witnesses?
+    pub(super) watchful: bool,
 }
 
 impl Patch {
@@ -69,6 +78,7 @@ impl Patch {
             parent: (0..n as u32).collect(),
             death: vec![u8::MAX; n],
             quadrics: vec![Quadric::default(); n],
+            scales: Vec::new(),
             best: vec![(f32::INFINITY, NONE); n],
             queue: BinaryHeap::new(),
             corners: CornerLists::new(n, &input.triangles),
@@ -79,9 +89,13 @@ impl Patch {
             candidates: Vec::new(),
             points: Vec::new(),
             alive: n,
+            witness: input.positions.clone(),
+            farthest: Vec3::ZERO,
+            watchful: false,
             input,
         };
         patch.sum_quadrics();
+        patch.scales = patch.quadrics.iter().map(|q| scale(q.weight, patch.input.mean_area)).collect();
         let mut entries = Vec::with_capacity(n);
         for v in 0..n as u32 {
             if patch.moves_alone(v) {
@@ -171,7 +185,6 @@ impl Patch {
     fn list_candidates(&mut self) {
         let (v, mut list) = (self.fan.center, std::mem::take(&mut self.candidates));
         list.clear();
-        let scale = self.scale(v);
         let open = match self.input.kinds[v as usize] {
             Kind::Inner => false,
             Kind::Open => true,
@@ -181,7 +194,7 @@ impl Patch {
         // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
         let mut add = |u: u32| {
             if target(u) {
-                list.push((self.cost(v, u, scale), u));
+                list.push((self.cost(v, u), u));
             }
         };
         match open {
@@ -192,22 +205,15 @@ impl Patch {
     }
 
     /// Cost of moving `v` onto `u`, squared quanta: distance to the planes merged into `v`, and the bend of normals.
-    fn cost(&self, v: u32, u: u32, scale: f32) -> f32 {
+    fn cost(&self, v: u32, u: u32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
-        self.quadrics[v as usize].at(d) * scale + self.appearance_cost(v, u, d)
-    }
-
-    /// What makes a quadric's value a cost. Between the mean over its planes, which keeps the largest distance down, and
-    /// their sum, which keeps the mean over the whole surface down.
-    fn scale(&self, v: u32) -> f32 {
-        let weight = self.quadrics[v as usize].weight;
-        if weight > 0.0 { (1.0 + (weight / self.input.mean_area).sqrt()) / weight } else { 0.0 }
+        self.quadrics[v as usize].at(d) * self.scales[v as usize] + self.appearance_cost(v, u, d)
     }
 
     /// Squared distance at offset `d` from `v`, scaled, and the area of the planes behind it.
     pub fn geometric_cost(&self, v: u32, d: Vec3) -> (f32, f32) {
         let q = &self.quadrics[v as usize];
-        (q.at(d) * self.scale(v), q.weight)
+        (q.at(d) * self.scales[v as usize], q.weight)
     }
 
     /// Cost of the normals' bend and of plain length.
@@ -260,7 +266,7 @@ impl Patch {
         let due = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
         let (cost, u) = self.best[v as usize];
         self.spread(v);
-        if cost.max(self.turn(u)) <= due && self.keeps_topology(u, |_, _| false) {
+        if cost.max(self.turn(u)) <= due && self.reach(u) <= due && self.keeps_topology(u, |_, _| false) {
             self.apply(v, u, level);
             return true;
         }
@@ -269,17 +275,22 @@ impl Patch {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.iter_mut().for_each(|c| c.0 = c.0.max(self.turn(c.1)));
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut done = false;
+        let (mut done, mut later) = (false, (f32::INFINITY, NONE));
         for &(cost, u) in candidates.iter().filter(|c| c.0 < f32::INFINITY) {
-            if cost > due {
-                self.enqueue(v, (cost, u));
+            if cost >= later.0 {
                 break;
             }
-            if self.keeps_topology(u, |_, _| false) {
+            let raised = if cost <= due { cost.max(self.reach(u)) } else { cost };
+            if raised > due {
+                later = if raised < later.0 { (raised, u) } else { later };
+            } else if self.keeps_topology(u, |_, _| false) {
                 self.apply(v, u, level);
                 done = true;
                 break;
             }
+        }
+        if !done && later.1 != NONE {
+            self.enqueue(v, later);
         }
         self.candidates = candidates;
         done
@@ -291,14 +302,18 @@ impl Patch {
         &self.input.shared[s[v as usize] as usize..s[v as usize + 1] as usize]
     }
 
-    /// Carries a legal collapse out and updates the costs around it.
+    /// Carries a legal collapse, the one whose [`Patch::reach`] was asked for last, out and updates the costs around it.
     pub fn apply(&mut self, v: u32, u: u32, level: u8) {
+        if self.watchful {
+            self.witness[u as usize] = self.farthest;
+        }
         self.parent[v as usize] = u;
         self.death[v as usize] = level;
         self.alive -= 1;
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         let q = self.quadrics[v as usize].moved(d);
         self.quadrics[u as usize].add(&q);
+        self.scales[u as usize] = scale(self.quadrics[u as usize].weight, self.input.mean_area);
         if let Some(third) = self.closed_hole(u) {
             for x in [u, third] {
                 self.input.kinds[x as usize] = Kind::Inner;
@@ -321,7 +336,7 @@ impl Patch {
             let best = if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
                 self.cheapest(x)
             } else {
-                let raw = self.cost(x, u, self.scale(x));
+                let raw = self.cost(x, u);
                 if raw >= cost {
                     continue;
                 }
@@ -338,4 +353,12 @@ impl Patch {
             self.enqueue(u, best);
         }
     }
+}
+
+/// What makes the value of a quadric of this weight a cost. Between the mean over its planes, which keeps the largest
+/// distance down, and their sum, which keeps the mean over the whole surface down: the mean times a power (3/8) of the
+/// number of triangles behind it.
+fn scale(weight: f32, mean_area: f32) -> f32 {
+    let quarter = (weight / mean_area).sqrt().sqrt();
+    if weight > 0.0 { (1.0 + quarter * quarter.sqrt()) / weight } else { 0.0 }
 }
