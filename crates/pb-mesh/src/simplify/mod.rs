@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 
 /// A level is reached when the vertex count is within this factor of its target.
-const TARGET_TOLERANCE: f64 = 1.004;
+const TARGET_TOLERANCE: f64 = 1.01;
 /// Rounds per level; reached only by meshes that cannot be simplified that far.
 const MAX_ROUNDS: usize = 64;
 /// Share of the remaining way (in log counts) that one round aims for while far from the target.
@@ -31,6 +31,8 @@ const FAR_STEP: f64 = 0.75;
 const SMALL_COUNT: f64 = 4096.0;
 /// The same share there.
 const SMALL_STEP: f64 = 0.4;
+/// Factor by which the limit rises at least, and there.
+const MIN_FACTORS: [f64; 2] = [1.01, 1.002];
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
 const MAX_RISE: f64 = 16.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
@@ -211,9 +213,10 @@ impl Search {
             far if far < -0.1 => far * FAR_STEP,
             near => near,
         };
-        let factor = (aim / self.slope).exp().clamp(1.01, 6.0) as f32;
+        let least = MIN_FACTORS[usize::from(count < SMALL_COUNT)];
+        let factor = (aim / self.slope).exp().clamp(least, 6.0) as f32;
         let queued = cost_of_rank(patches, (count - target) as usize).unwrap_or(f32::INFINITY);
-        self.limit = (self.limit * factor).min(queued.max(self.limit * 1.01)).min(self.end);
+        self.limit = (self.limit * factor).min(queued.max(self.limit * least as f32)).min(self.end);
     }
 }
 
