@@ -20,10 +20,10 @@ use std::collections::BinaryHeap;
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
 /// Subdivisions per cluster and level at most.
-const MAX_SPLITS: usize = 64;
+const MAX_SPLITS: usize = 24;
 /// Input triangles whose corners are all nearer than this share of the largest distance are not looked into: it would
 /// have to rise severalfold inside of them.
-const PLAUSIBLE: f32 = 0.4;
+const PLAUSIBLE: f32 = 0.5;
 /// Where subdivision stops early, the bound is at most this many times the largest distance measured: the parts with the
 /// largest bounds were measured first, and none was worse.
 const UNREFINED: f32 = 1.5;
@@ -92,8 +92,7 @@ struct Nearest {
 /// Measures one level. `clusters` is the number of clusters.
 pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     let fans = Fans::new(pair.positions.len(), pair.coarse);
-    let bends = bends(pair, &fans);
-    let field = Field { pair, fans: &fans, bends: &bends };
+    let field = Field { pair, fans: &fans };
     let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
     let large = root_mean_square(&nearest) * LARGE;
@@ -105,51 +104,29 @@ pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     });
     let jobs = jobs(pair, &nearest, clusters);
     let mut max: Vec<f32> = jobs.par_iter().map(|list| field.cluster_bound(list, &nearest)).collect();
-    let back = field.sampled_back(&max);
+    let back = field.sampled_back(&max, &jobs);
     back.into_iter().zip(pair.coarse_cluster_of).for_each(|(d, &c)| max[c as usize] = max[c as usize].max(d));
     Deviation { max, squares: squares(pair, &nearest) }
 }
 
 /// The input triangles that each cluster's bound covers: its own, and those of others that map onto it.
 fn jobs(pair: &LevelPair, nearest: &[(f32, u32)], clusters: usize) -> Vec<Vec<u32>> {
-    let mut list = vec![Vec::new(); clusters];
-    for (i, (t, &own)) in pair.triangles.iter().zip(pair.cluster_of).enumerate() {
-        list[own as usize].push(i as u32);
-        for &v in t {
-            let (distance, on) = nearest[v as usize];
-            if distance > 0.0 && on != NONE {
-                let other = pair.coarse_cluster_of[on as usize];
-                if other != own && list[other as usize].last() != Some(&(i as u32)) {
-                    list[other as usize].push(i as u32);
-                }
-            }
-        }
-    }
+    let mut sizes = vec![0; clusters];
+    pair.cluster_of.iter().for_each(|&own| sizes[own as usize] += 1);
+    let mut list: Vec<Vec<u32>> = sizes.into_iter().map(Vec::with_capacity).collect();
+    pair.cluster_of.iter().enumerate().for_each(|(i, &own)| list[own as usize].push(i as u32));
+    let abroad = |i: usize| {
+        let own = pair.cluster_of[i];
+        let on = pair.triangles[i].map(|v| match nearest[v as usize] {
+            (distance, on) if distance > 0.0 && on != NONE => pair.coarse_cluster_of[on as usize],
+            _ => own,
+        });
+        (0..3).filter(move |&k| on[k] != own && !on[..k].contains(&on[k])).map(move |k| (on[k], i as u32))
+    };
+    let block = |b: usize| (b * BLOCK..pair.triangles.len().min((b + 1) * BLOCK)).flat_map(abroad).collect();
+    let others: Vec<Vec<(u32, u32)>> = (0..pair.triangles.len().div_ceil(BLOCK)).into_par_iter().map(block).collect();
+    others.into_iter().flatten().for_each(|(c, i)| list[c as usize].push(i));
     list
-}
-
-/// How steeply the fan of each coarse vertex leaves any of its own triangles: the tangent of the largest angle between
-/// normals of the fan; infinite from a right angle on.
-fn bends(pair: &LevelPair, fans: &Fans) -> Vec<f32> {
-    let normal = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| relative(pair.positions, t[0], v));
-        (b - a).cross(c - a).try_normalize()
-    };
-    let normals: Vec<Option<Vec3>> = pair.coarse.par_iter().map(normal).collect();
-    let of = |v: u32| {
-        let around = fans.around(v);
-        let mut least = 1f32;
-        for (i, &s) in around.iter().enumerate() {
-            for &t in &around[..i] {
-                least = match (normals[s as usize], normals[t as usize]) {
-                    (Some(n), Some(m)) => least.min(n.dot(m)),
-                    _ => 0.0,
-                };
-            }
-        }
-        if least > 1e-3 { (1.0 - least * least).max(0.0).sqrt() / least } else { f32::INFINITY }
-    };
-    (0..pair.positions.len() as u32).into_par_iter().map(of).collect()
 }
 
 /// Over positions.
@@ -187,8 +164,6 @@ fn relative(positions: &[[i32; 3]], origin: u32, v: u32) -> Vec3 {
 struct Field<'a> {
     pair: &'a LevelPair<'a>,
     fans: &'a Fans,
-    /// See [`bends`].
-    bends: &'a [f32],
 }
 
 impl Field<'_> {
@@ -319,20 +294,11 @@ impl Field<'_> {
     fn whole(&self, t: [u32; 3], nearest: &[(f32, u32)], floor: f32) -> Option<Part> {
         let images = t.map(|v| nearest[v as usize]);
         let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
-        if most < floor * PLAUSIBLE
-            || images.iter().any(|i| i.1 == NONE)
-            || self.common_triangle(t, images.map(|i| i.1))
-        {
+        if most < floor * PLAUSIBLE || images.iter().any(|i| i.1 == NONE) {
             return None;
         }
         let at: [Vec3; 3] = std::array::from_fn(|k| relative(self.pair.positions, t[0], t[k]));
-        let longest = (0..3).map(|k| at[k].distance_squared(at[(k + 1) % 3])).fold(0.0, f32::max).sqrt();
-        // Images are no further apart than the points and twice the distance; in a fan the surface between them
-        // leaves the straight line no more steeply than the fan bends.
-        let apart = (longest + 2.0 * most) * FARTHEST_FROM_CORNERS;
-        let [on, others @ ..] = images.map(|i| self.pair.coarse[i.1 as usize]);
-        let bend = on.into_iter().filter(|v| others.iter().all(|o| o.contains(v))).map(|v| self.bends[v as usize]);
-        if most + apart * bend.fold(1.0, f32::min) <= floor {
+        if most + farthest_from_corners(at) <= floor || self.common_triangle(t, images.map(|i| i.1)) {
             return None;
         }
         let corners = std::array::from_fn(|k| {
@@ -345,7 +311,8 @@ impl Field<'_> {
 
     fn part(&self, origin: u32, corners: [Mapped; 3]) -> Part {
         let most = corners.iter().map(|c| c.distance).fold(0.0, f32::max);
-        Part { bound: most + self.sag(origin, &corners), origin, corners }
+        let rise = self.sag(origin, &corners).min(farthest_from_corners(corners.map(|c| c.at)));
+        Part { bound: most + rise, origin, corners }
     }
 
     fn split(&self, part: &Part) -> [Part; 4] {
@@ -438,6 +405,11 @@ impl Field<'_> {
         }
         best
     }
+}
+
+/// How far a point of a triangle is from its nearest corner at most: no distance rises by more in between.
+fn farthest_from_corners(t: [Vec3; 3]) -> f32 {
+    (0..3).map(|k| t[k].distance_squared(t[(k + 1) % 3])).fold(0.0, f32::max).sqrt() * FARTHEST_FROM_CORNERS
 }
 
 /// A part of an input triangle, its images and a bound of its distance, ordered by the bound.

@@ -1,13 +1,17 @@
 //! From the coarse surface back to the input, by samples.
 
-use super::{Field, GOOD_ENOUGH, relative};
-use crate::closest::closest_feature;
+use super::{Field, GOOD_ENOUGH, UNREFINED, relative};
+use crate::closest::{closest_feature, closest_on_triangle};
 use glam::Vec3;
 use rayon::prelude::*;
 
 /// Steps over the input from a corner of a coarse triangle to a point of it.
 const MAX_WALK_BACK: usize = 128;
 
+/// Below this many coarse triangles, all are sampled densely.
+const FEW_TRIANGLES: usize = 1 << 16;
+/// Samples along an edge of these.
+const FEW_STEPS: u32 = 6;
 /// Samples along the edge of a coarse triangle at most.
 const MAX_STEPS: u32 = 12;
 
@@ -23,9 +27,11 @@ enum Walk {
 impl Field<'_> {
     /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
     /// where the map is torn, by a fold, coarse parts may lie outside of it.
-    pub(super) fn sampled_back(&self, floors: &[f32]) -> Vec<f32> {
+    pub(super) fn sampled_back(&self, floors: &[f32], jobs: &[Vec<u32>]) -> Vec<f32> {
         // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
-        let typical = ((self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1).ilog2() / 2).clamp(1, 6);
+        let few = self.pair.coarse.len() < FEW_TRIANGLES;
+        let ratio = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1);
+        let typical = if few { FEW_STEPS } else { (ratio.ilog2() / 2).clamp(1, FEW_STEPS) };
         let longest = |tri: &[u32; 3]| {
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             (0..3).map(|k| p[k].distance_squared(p[(k + 1) % 3])).fold(0.0, f32::max).sqrt()
@@ -38,9 +44,16 @@ impl Field<'_> {
             let floor = floors[cluster as usize];
             let distance = |at: Vec3, k: usize| {
                 let quick = self.distance_back(tri, at, k, Walk::Quick) * GOOD_ENOUGH;
+                if quick <= floor {
+                    return quick;
+                }
                 let thorough =
-                    || (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough)).fold(f32::INFINITY, f32::min);
-                if quick > floor { thorough() * GOOD_ENOUGH } else { quick }
+                    (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough)).fold(f32::INFINITY, f32::min);
+                if few && thorough * GOOD_ENOUGH > floor * UNREFINED {
+                    // Thin parts hold walks up.
+                    return thorough.min(self.distance_to_all(tri[0], at, &jobs[cluster as usize])) * GOOD_ENOUGH;
+                }
+                thorough * GOOD_ENOUGH
             };
             let mut most = distance((p[0] + p[1] + p[2]) / 3.0, 0);
             for i in 0..=steps {
@@ -56,6 +69,15 @@ impl Field<'_> {
             most
         };
         self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).zip(&lengths).map(samples).collect()
+    }
+
+    /// Distance of `at`, relative to `origin`, from some triangles of the input.
+    fn distance_to_all(&self, origin: u32, at: Vec3, triangles: &[u32]) -> f32 {
+        let square = |&t: &u32| {
+            let corners = self.pair.triangles[t as usize].map(|v| relative(self.pair.positions, origin, v));
+            closest_on_triangle(at, corners).distance_squared(at)
+        };
+        triangles.iter().map(square).fold(f32::INFINITY, f32::min).sqrt()
     }
 
     /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`.

@@ -124,6 +124,9 @@ fn coarsest_step(v: u32, cluster_of: &[u32], fans: &Fans, shifts: &[u32]) -> u32
 /// Gives positions that fell on one grid point, such as the split sheets of a non-manifold place, points of their own,
 /// the nearest free ones: a grid point names one position in the whole archive.
 fn part_equal(points: &mut [[i32; 3]], cluster_of: &[u32], fans: &Fans, shifts: &[u32]) {
+    if all_distinct(points) {
+        return;
+    }
     let mut order: Vec<([i32; 3], u32)> = points.par_iter().enumerate().map(|(v, &p)| (p, v as u32)).collect();
     order.par_sort_unstable();
     let doubles: Vec<u32> = order.windows(2).filter(|w| w[0].0 == w[1].0).map(|w| w[1].1).collect();
@@ -142,12 +145,30 @@ fn part_equal(points: &mut [[i32; 3]], cluster_of: &[u32], fans: &Fans, shifts: 
     }
 }
 
+/// Are all points different? Quick, and by hashes: may say no where they are.
+fn all_distinct(points: &[[i32; 3]]) -> bool {
+    // Odd multipliers of splitmix64 and its kin.
+    let mixed = |p: &[i32; 3]| {
+        let word = |k: usize| u64::from(p[k] as u32);
+        let x =
+            (word(0) | word(1) << 32).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ word(2).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let x = (x ^ x >> 31).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ x >> 29
+    };
+    let mut hashes: Vec<u64> = points.par_iter().map(mixed).collect();
+    hashes.par_sort_unstable();
+    hashes.par_windows(2).all(|w| w[0] != w[1])
+}
+
 /// The grid offsets at Chebyshev distance `radius`, in a fixed order.
 fn shell(radius: i32) -> impl Iterator<Item = [i32; 3]> {
     let line = move || -radius..=radius;
     let cube = line().flat_map(move |x| line().flat_map(move |y| line().map(move |z| [x, y, z])));
     cube.filter(move |d| d.iter().any(|c| c.abs() == radius))
 }
+
+/// Blocks that the errors are gathered in: the same sums on any number of threads.
+const ERROR_BLOCKS: usize = 64;
 
 fn errors(
     positions: &[[f64; 3]],
@@ -158,15 +179,21 @@ fn errors(
     fans: &Fans,
     clusters: usize,
 ) -> (Vec<f64>, f64) {
-    let mut max = vec![0f64; clusters];
-    let mut squares = 0.0;
-    for (v, (p, g)) in positions.iter().zip(points).enumerate() {
-        let square = (0..3).map(|k| (p[k] - (origin[k] + f64::from(g[k]) * quantum)).powi(2)).sum::<f64>();
-        squares += square;
-        for &t in fans.around(v as u32) {
-            let m = &mut max[cluster_of[t as usize] as usize];
-            *m = m.max(square);
+    let size = positions.len().div_ceil(ERROR_BLOCKS);
+    let block = |(i, block): (usize, &[[f64; 3]])| {
+        let (mut max, mut squares) = (vec![0f64; clusters], 0.0);
+        for (v, p) in (i * size..).zip(block) {
+            let g = points[v];
+            let square = (0..3).map(|k| (p[k] - (origin[k] + f64::from(g[k]) * quantum)).powi(2)).sum::<f64>();
+            squares += square;
+            for &t in fans.around(v as u32) {
+                let m = &mut max[cluster_of[t as usize] as usize];
+                *m = m.max(square);
+            }
         }
-    }
-    (max.into_iter().map(f64::sqrt).collect(), squares)
+        (max, squares)
+    };
+    let blocks: Vec<(Vec<f64>, f64)> = positions.par_chunks(size).enumerate().map(block).collect();
+    let largest = |c: usize| blocks.iter().map(|b| b.0[c]).fold(0.0, f64::max).sqrt();
+    ((0..clusters).map(largest).collect(), blocks.iter().map(|b| b.1).sum())
 }
