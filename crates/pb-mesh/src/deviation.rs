@@ -20,10 +20,10 @@ use std::collections::BinaryHeap;
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
 /// Subdivisions per cluster and level at most.
-const MAX_SPLITS: usize = 24;
+const MAX_SPLITS: usize = 16;
 /// Input triangles whose corners are all nearer than this share of the largest distance are not looked into: it would
 /// have to rise severalfold inside of them.
-const PLAUSIBLE: f32 = 0.5;
+const PLAUSIBLE: f32 = 0.6;
 /// Where subdivision stops early, the bound is at most this many times the largest distance measured: the parts with the
 /// largest bounds were measured first, and none was worse.
 const UNREFINED: f32 = 1.5;

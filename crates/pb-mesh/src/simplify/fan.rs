@@ -52,13 +52,13 @@ impl Patch {
         self.fan.spokes.clear();
         let positions = &self.input.positions;
         let center = positions[v as usize];
-        self.fan.spokes.extend(self.corners.around(v).map(|c| {
+        for c in self.corners.around(v) {
             let (at_a, at_b) = (positions[c.a as usize] - center, positions[c.b as usize] - center);
             let normal = at_a.cross(at_b);
             let length = normal.length();
             let normal = if length > 0.0 { normal / length } else { Vec3::ZERO };
-            Spoke { a: c.a, b: c.b, at_a, at_b, normal }
-        }));
+            self.fan.spokes.push(Spoke { a: c.a, b: c.b, at_a, at_b, normal });
+        }
     }
 
     /// Largest squared distance of `u` from the planes of the fan; infinite when a triangle would turn over as the centre

@@ -51,7 +51,10 @@ pub(super) struct Patch {
     scales: Vec<f32>,
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
-    pub(super) queue: BinaryHeap<Reverse<(u32, u32)>>,
+    /// Collapses of this round.
+    queue: BinaryHeap<Reverse<(u32, u32)>>,
+    /// Most that they may cost.
+    limit: f32,
     pub(super) corners: CornerLists,
     pub(super) marks: Vec<u32>,
     pub(super) epoch: u32,
@@ -81,6 +84,7 @@ impl Patch {
             scales: Vec::new(),
             best: vec![(f32::INFINITY, NONE); n],
             queue: BinaryHeap::new(),
+            limit: f32::NEG_INFINITY,
             corners: CornerLists::new(n, &input.triangles),
             marks: vec![0; n],
             epoch: 0,
@@ -96,14 +100,11 @@ impl Patch {
         };
         patch.sum_quadrics();
         patch.scales = patch.quadrics.iter().map(|q| scale(q.weight, patch.input.mean_area)).collect();
-        let mut entries = Vec::with_capacity(n);
         for v in 0..n as u32 {
             if patch.moves_alone(v) {
                 patch.best[v as usize] = patch.cheapest(v);
-                entries.push(Reverse((patch.best[v as usize].0.to_bits(), v)));
             }
         }
-        patch.queue = BinaryHeap::from(entries);
         patch
     }
 
@@ -199,7 +200,7 @@ impl Patch {
         };
         match open {
             true => self.fan.ends().into_iter().flatten().for_each(&mut add),
-            false => self.fan.spokes.iter().map(|s| s.a).for_each(&mut add),
+            false => self.fan.spokes.iter().for_each(|s| add(s.a)),
         }
         self.candidates = list;
     }
@@ -241,29 +242,33 @@ impl Patch {
 
     fn enqueue(&mut self, v: u32, best: (f32, u32)) {
         self.best[v as usize] = best;
-        if best.1 != NONE {
+        if best.0 <= self.limit {
             self.queue.push(Reverse((best.0.to_bits(), v)));
         }
     }
 
     /// Collapses inside the cluster, cheapest first, while the cost is at most `limit`; returns how many.
     pub fn collapse_interior(&mut self, limit: f32, level: u8) -> usize {
+        let mut entries = std::mem::take(&mut self.queue).into_vec();
+        entries.clear();
+        let below = (0..self.best.len() as u32).filter(|&v| self.best[v as usize].0 <= limit && self.moves_alone(v));
+        entries.extend(below.map(|v| Reverse((self.best[v as usize].0.to_bits(), v))));
+        self.queue = BinaryHeap::from(entries);
+        self.limit = limit;
         let mut count = 0;
-        while let Some(&Reverse((bits, v))) = self.queue.peek() {
-            if f32::from_bits(bits) > limit {
-                break;
-            }
-            self.queue.pop();
+        while let Some(Reverse((bits, v))) = self.queue.pop() {
             if self.moves_alone(v) && self.best[v as usize].0.to_bits() == bits {
                 count += self.collapse_vertex(v, level) as usize;
             }
         }
+        self.limit = f32::NEG_INFINITY;
         count
     }
 
     /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet.
     fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
-        let due = self.best[v as usize].0.max(self.queue.peek().map_or(f32::INFINITY, |t| f32::from_bits(t.0.0)));
+        let next = self.queue.peek().map_or(self.limit, |t| f32::from_bits(t.0.0));
+        let due = self.best[v as usize].0.max(next);
         let (cost, u) = self.best[v as usize];
         self.spread(v);
         if cost.max(self.turn(u)) <= due && self.reach(u) <= due && self.keeps_topology(u, |_, _| false) {
