@@ -7,39 +7,57 @@ pub(crate) fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
     closest_feature(p, t).0
 }
 
-/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits (Ericson, Real-Time Collision
-/// Detection, 5.1.5).
+/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits.
 pub(crate) fn closest_feature(p: Vec3, t: [Vec3; 3]) -> (Vec3, u8) {
-    let [a, b, c] = t;
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return (a, 1);
+    let (offset, corners) = Facet::new(t[1] - t[0], t[2] - t[0]).closest(p - t[0]);
+    (t[0] + offset, corners)
+}
+
+/// A triangle by its edges from its first corner, ready to be asked for nearest points (Ericson, Real-Time Collision
+/// Detection, 5.1.5).
+#[derive(Clone, Copy)]
+pub(crate) struct Facet {
+    ab: Vec3,
+    ac: Vec3,
+    /// Dot products: ab ab, ab ac, ac ac.
+    dots: [f32; 3],
+}
+
+impl Facet {
+    pub fn new(ab: Vec3, ac: Vec3) -> Self {
+        Facet { ab, ac, dots: [ab.dot(ab), ab.dot(ac), ac.dot(ac)] }
     }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return (b, 2);
+
+    /// The nearest point to `ap`, both from the first corner, and the corners that it is a mix of as bits.
+    pub fn closest(&self, ap: Vec3) -> (Vec3, u8) {
+        let (ab, ac, [bb, bc, cc]) = (self.ab, self.ac, self.dots);
+        let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+        if d1 <= 0.0 && d2 <= 0.0 {
+            return (Vec3::ZERO, 1);
+        }
+        let (d3, d4) = (d1 - bb, d2 - bc);
+        if d3 >= 0.0 && d4 <= d3 {
+            return (ab, 2);
+        }
+        let vc = d1 * d4 - d3 * d2;
+        if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+            return (ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE)), 3);
+        }
+        let (d5, d6) = (d1 - bc, d2 - cc);
+        if d6 >= 0.0 && d5 <= d6 {
+            return (ac, 4);
+        }
+        let vb = d5 * d2 - d1 * d6;
+        if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+            return (ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE)), 5);
+        }
+        let va = d3 * d6 - d5 * d4;
+        if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+            return (ab + (ac - ab) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE)), 6);
+        }
+        let denominator = 1.0 / (va + vb + vc);
+        (ab * (vb * denominator) + ac * (vc * denominator), 7)
     }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return (a + ab * (d1 / (d1 - d3).max(f32::MIN_POSITIVE)), 3);
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return (c, 4);
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return (a + ac * (d2 / (d2 - d6).max(f32::MIN_POSITIVE)), 5);
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE)), 6);
-    }
-    let denominator = 1.0 / (va + vb + vc);
-    (a + ab * (vb * denominator) + ac * (vc * denominator), 7)
 }
 
 pub(crate) fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {

@@ -11,7 +11,7 @@
 
 mod back;
 
-use crate::closest::{closest_feature, closest_on_segment, closest_on_triangle, height_over, segment_distance};
+use crate::closest::{Facet, closest_on_segment, closest_on_triangle, height_over, segment_distance};
 use crate::topology::Fans;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -92,7 +92,12 @@ struct Nearest {
 /// Measures one level. `clusters` is the number of clusters.
 pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     let fans = Fans::new(pair.positions.len(), pair.coarse);
-    let field = Field { pair, fans: &fans };
+    let facet = |t: &[u32; 3]| {
+        let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
+        (t[0], Facet::new(b, c))
+    };
+    let facets: Vec<(u32, Facet)> = pair.coarse.par_iter().map(facet).collect();
+    let field = Field { pair, fans: &fans, facets: &facets };
     let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
     let large = root_mean_square(&nearest) * LARGE;
@@ -164,6 +169,8 @@ fn relative(positions: &[[i32; 3]], origin: u32, v: u32) -> Vec3 {
 struct Field<'a> {
     pair: &'a LevelPair<'a>,
     fans: &'a Fans,
+    /// The coarse triangles, with their first corner.
+    facets: &'a [(u32, Facet)],
 }
 
 impl Field<'_> {
@@ -225,10 +232,13 @@ impl Field<'_> {
 
     fn improve(&self, origin: u32, triangles: &[u32], best: &mut Nearest) {
         for &t in triangles {
-            let (q, corners) = closest_feature(best.at, self.corners(origin, t));
-            let square = q.distance_squared(best.at);
+            let (corner, facet) = &self.facets[t as usize];
+            let from = relative(self.pair.positions, origin, *corner);
+            let at = best.at - from;
+            let (offset, corners) = facet.closest(at);
+            let square = offset.distance_squared(at);
             if square < best.square {
-                *best = Nearest { at: best.at, image: q, square, triangle: t, corners };
+                *best = Nearest { at: best.at, image: from + offset, square, triangle: t, corners };
             }
         }
     }
