@@ -9,7 +9,7 @@ use glam::Vec3;
 const MIN_TURN_COSINE: f32 = 0.25;
 
 /// Squared distance of a witness, in terms of the cost of planes, which is near a mean.
-const WITNESS_WEIGHT: f32 = 3.0;
+const WITNESS_WEIGHT: f32 = 4.0;
 
 /// A triangle of the fan: its two other vertices in its order, where they are from the centre, and its unit normal.
 #[derive(Clone, Copy)]

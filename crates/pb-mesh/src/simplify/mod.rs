@@ -33,6 +33,10 @@ const SMALL_COUNT: f64 = 4096.0;
 const SMALL_STEP: f64 = 0.4;
 /// Factor by which the limit rises at least, and there.
 const MIN_FACTORS: [f64; 2] = [1.01, 1.002];
+/// Where a rise of the limit by this factor leaves more than this share of the vertices, a level ends: the shape does not
+/// allow less, and higher limits would only cost quality.
+const STALL_RISE: f32 = 4.0;
+const STALL_SHARE: f64 = 0.97;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
 const MAX_RISE: f64 = 16.0;
 /// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
@@ -165,6 +169,9 @@ struct Search {
     diagonal: f32,
     last: Option<(f64, f64)>,
     slope: f64,
+    /// Limit and count where it was last seen that raising the limit helps; `true` when it no longer does.
+    progress: (f32, f64),
+    stalled: bool,
 }
 
 impl Search {
@@ -179,7 +186,15 @@ impl Search {
             }
         }
         let diagonal = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
-        Search { limit: limit.max(f32::MIN_POSITIVE), end: diagonal, diagonal, last: None, slope: -0.5 }
+        Search {
+            limit: limit.max(f32::MIN_POSITIVE),
+            end: diagonal,
+            diagonal,
+            last: None,
+            slope: -0.5,
+            progress: (0.0, f64::INFINITY),
+            stalled: false,
+        }
     }
 
     /// Sets how far the limit may rise at a level. On smooth surfaces it rises by the squared ratio.
@@ -189,11 +204,12 @@ impl Search {
             _ => f64::from(self.limit) * ratio * ratio * MAX_RISE,
         };
         let always = f64::from(self.diagonal) * (FREE_ERROR * ratio.powi(level as i32)).powi(2);
+        (self.progress, self.stalled) = ((self.limit, f64::INFINITY), false);
         self.end = (natural.max(always) as f32).min(self.diagonal);
     }
 
     fn exhausted(&self) -> bool {
-        self.limit >= self.end
+        self.stalled || self.limit >= self.end
     }
 
     fn record(&mut self, count: f64) {
@@ -202,6 +218,10 @@ impl Search {
             self.slope = ((now.1 - last.1) / (now.0 - last.0)).clamp(-2.0, -0.1);
         }
         self.last = Some(now);
+        if self.limit >= self.progress.0 * STALL_RISE {
+            self.stalled = count > self.progress.1 * STALL_SHARE;
+            self.progress = (self.limit, count);
+        }
     }
 
     /// Raises the limit by what the last rounds' slope says is needed, but no further than to where as many
