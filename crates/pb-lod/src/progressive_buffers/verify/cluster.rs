@@ -41,8 +41,6 @@ pub(super) struct ClusterReport {
 pub(super) struct LevelReport {
     /// Distinct positions that triangles use; those of other clusters too are listed in `shared_used` until `finish`.
     pub used_positions: u64,
-    /// Distinct positions of the level's vertices, used or not.
-    pub prefix_positions: u64,
     /// Directed edges without an opposite.
     pub open_edges: u64,
     /// Where the first of them starts.
@@ -50,7 +48,6 @@ pub(super) struct LevelReport {
     /// How often the most frequent directed edge occurs.
     pub most_repeated: u64,
     shared_used: Vec<u32>,
-    shared_prefix: Vec<u32>,
     /// Edges between two positions of several clusters, as (group, group, start).
     shared_edges: Vec<(u32, u32, [i32; 3])>,
 }
@@ -59,23 +56,18 @@ impl LevelReport {
     /// Adds a cluster's level to the model's.
     pub fn add(&mut self, other: LevelReport) {
         self.used_positions += other.used_positions;
-        self.prefix_positions += other.prefix_positions;
         self.open_edges += other.open_edges;
         self.open_example = self.open_example.or(other.open_example);
         self.most_repeated = self.most_repeated.max(other.most_repeated);
         self.shared_used.extend(other.shared_used);
-        self.shared_prefix.extend(other.shared_prefix);
         self.shared_edges.extend(other.shared_edges);
     }
 
     /// Settles what several clusters share.
     pub fn finish(&mut self) {
-        for list in [&mut self.shared_used, &mut self.shared_prefix] {
-            list.sort_unstable();
-            list.dedup();
-        }
+        self.shared_used.sort_unstable();
+        self.shared_used.dedup();
         self.used_positions += self.shared_used.len() as u64;
-        self.prefix_positions += self.shared_prefix.len() as u64;
         let edges = std::mem::take(&mut self.shared_edges);
         self.match_edges(edges);
     }
@@ -188,16 +180,10 @@ fn check_level(
         }
     }
     report.match_edges(edges);
-    for vertex in (0..vertices).filter(|&v| places.canonical[v] as usize == v) {
+    for vertex in (0..vertices).filter(|&v| places.canonical[v] as usize == v && used[v]) {
         match places.group[vertex] {
-            u32::MAX => {
-                report.prefix_positions += 1;
-                report.used_positions += used[vertex] as u64;
-            }
-            group => {
-                report.shared_prefix.push(group);
-                report.shared_used.extend(used[vertex].then_some(group));
-            }
+            u32::MAX => report.used_positions += 1,
+            group => report.shared_used.push(group),
         }
     }
     report
