@@ -5,6 +5,9 @@ use crate::topology::Kind;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
+/// Weight of the distance of witnesses at borders, where a vertex has two ways to go instead of six.
+const WITNESS_SHARE: f32 = 1.5;
+
 /// The border between two patches.
 pub(super) struct Seam {
     /// The two clusters, ascending.
@@ -61,7 +64,8 @@ impl Seam {
             }
             for mut m in moves(a, b, v) {
                 if m.cost.to_bits() <= bits {
-                    m.cost = m.cost.max(a.reach(m.to[0])).max(b.reach(m.to[1]));
+                    // What was collapsed is near the surface if one side is near it.
+                    m.cost = m.cost.max(a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE);
                 }
                 if m.cost.to_bits() > bits {
                     // Its turn comes later; what lies inside changed since it was looked at.
