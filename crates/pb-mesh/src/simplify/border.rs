@@ -34,6 +34,14 @@ struct Move {
     along: [u32; 2],
 }
 
+/// What a border vertex does when it comes up.
+enum Choice {
+    Now(Move),
+    /// It costs more than thought: what lies inside changed since it was looked at.
+    Later(f32),
+    Never,
+}
+
 impl Seam {
     pub fn new(clusters: [u32; 2], vertices: Vec<[u32; 2]>) -> Self {
         let known = vec![Known { cost: f32::INFINITY, weights: [f32::NAN; 2] }; vertices.len()];
@@ -62,18 +70,8 @@ impl Seam {
             if !a.is_alive(v[0]) || self.known[i as usize].cost.to_bits() != bits {
                 continue;
             }
-            for mut m in moves(a, b, v) {
-                if m.cost.to_bits() <= bits {
-                    // What was collapsed is near the surface if one side is near it.
-                    m.cost = m.cost.max(a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE);
-                }
-                if m.cost.to_bits() > bits {
-                    // Its turn comes later; what lies inside changed since it was looked at.
-                    self.known[i as usize].cost = m.cost;
-                    queue.push(Reverse((m.cost.to_bits(), i)));
-                    break;
-                }
-                if legal(self.clusters, a, b, v, &m) {
+            match self.choose(a, b, v, f32::from_bits(bits)) {
+                Choice::Now(m) => {
                     a.apply(v[0], m.to[0], level);
                     b.apply(v[1], m.to[1], level);
                     count += 1;
@@ -83,11 +81,33 @@ impl Seam {
                             queue.push(Reverse((self.known[n].cost.to_bits(), n as u32)));
                         }
                     }
-                    break;
                 }
+                Choice::Later(cost) => {
+                    self.known[i as usize].cost = cost;
+                    queue.push(Reverse((cost.to_bits(), i)));
+                }
+                Choice::Never => {}
             }
         }
         count
+    }
+
+    /// The cheapest legal move of a border vertex, if it costs no more than `due`.
+    fn choose(&self, a: &mut Patch, b: &mut Patch, v: [u32; 2], due: f32) -> Choice {
+        for m in moves(a, b, v) {
+            let cost = match m.cost {
+                // What was collapsed is near the surface if one side is near it.
+                low if low <= due => low.max(a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE),
+                high => high,
+            };
+            if cost > due {
+                return Choice::Later(cost);
+            }
+            if legal(self.clusters, a, b, v, &m) {
+                return Choice::Now(m);
+            }
+        }
+        Choice::Never
     }
 
     fn look_at(&mut self, i: usize, a: &mut Patch, b: &mut Patch) {
