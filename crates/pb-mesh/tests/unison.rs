@@ -1,7 +1,7 @@
 //! Simplification in unison on generated closed meshes: promises of design I2 and I6.
 
 use glam::{DVec3, Vec3};
-use pb_mesh::segment::segment;
+use pb_mesh::segment::{Segmentation, segment};
 use pb_mesh::simplify::{Collapses, UnisonInput, simplify};
 use pb_mesh::topology::{Fans, Kind, classify};
 use std::collections::HashMap;
@@ -90,17 +90,21 @@ fn level(b: &Baked, level: u8) -> Vec<([u32; 3], u32)> {
         .collect()
 }
 
+/// How often each directed edge of a level is used.
+fn edge_counts(b: &Baked, l: u8) -> HashMap<[u32; 2], i32> {
+    let mut edges = HashMap::new();
+    for (t, _) in level(b, l) {
+        (0..3).for_each(|k| *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1);
+    }
+    edges
+}
+
 #[test]
 fn every_level_is_closed_and_four_times_smaller() {
     let (positions, triangles) = bumpy_sphere(70);
     let b = run(&positions, &triangles, 6000, 5, 4.0);
     for l in 0..5u8 {
-        let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
-        for (t, _) in level(&b, l) {
-            for k in 0..3 {
-                *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1;
-            }
-        }
+        let edges = edge_counts(&b, l);
         assert!(edges.iter().all(|(e, n)| *n == 1 && edges.get(&[e[1], e[0]]) == Some(&1)), "level {l} is not closed");
         let count = b.collapses.counts[l as usize] as f64;
         let target = positions.len() as f64 / 4f64.powi(l as i32);
@@ -154,13 +158,64 @@ fn triangular_holes_close_instead_of_stopping_the_simplification() {
     assert!(holes > 300, "{holes} holes");
     let b = run(&positions, &triangles, 100_000, 5, 4.0);
     for l in 0..5u8 {
-        let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
-        for (t, _) in level(&b, l) {
-            (0..3).for_each(|k| *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1);
-        }
-        assert!(edges.values().all(|n| *n == 1), "level {l} is no manifold");
+        assert!(edge_counts(&b, l).values().all(|n| *n == 1), "level {l} is no manifold");
         let count = b.collapses.counts[l as usize] as f64;
         let target = positions.len() as f64 / 4f64.powi(l as i32);
         assert!(count / target < 1.02, "level {l}: {count} of {target}");
     }
+}
+
+#[test]
+fn thin_spikes_keep_their_tips() {
+    // Spikes a fifth of the radius high that rise from gentle feet: planes hardly resist their tips.
+    let (mut positions, triangles) = bumpy_sphere(70);
+    let feet: Vec<DVec3> = (0..12).map(|i| spread_direction(i, 12)).collect();
+    for p in &mut positions {
+        let at = DVec3::from_array(p.map(f64::from));
+        let d = at.normalize();
+        let near = feet.iter().map(|f| f.angle_between(d)).fold(f64::INFINITY, f64::min);
+        let height = (1.0 - near / 0.3).max(0.0).powi(6) * 0.2e6;
+        *p = (at + d * height).to_array().map(|x| x.round() as i32);
+    }
+    let b = run(&positions, &triangles, 6000, 4, 4.0);
+    for foot in &feet {
+        let far = |v: &u32| DVec3::from_array(positions[*v as usize].map(f64::from)).dot(*foot);
+        let tip = (0..positions.len() as u32).max_by(|x, y| far(x).total_cmp(&far(y))).expect("positions");
+        let left = level(&b, 3).into_iter().flat_map(|(t, _)| t).map(|v| far(&v)).fold(0.0, f64::max);
+        assert!(far(&tip) - left < 0.02e6, "the tip at {foot} lost {} of 200000", far(&tip) - left);
+    }
+}
+
+/// Point `i` of `n` spread over the unit sphere (Fibonacci).
+fn spread_direction(i: u32, n: u32) -> DVec3 {
+    let z = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(n);
+    let angle = f64::from(i) * 2.399_963_229_728_653;
+    DVec3::new(angle.cos() * (1.0 - z * z).sqrt(), angle.sin() * (1.0 - z * z).sqrt(), z)
+}
+
+#[test]
+fn no_two_clusters_get_the_same_edge() {
+    // A flat pentagon with a front and a back, each a cluster: chords from 0 in front, from 1 in the back. The shortest edge
+    // joins 0 and 1, but then both sides would have a chord from there to 3.
+    let positions = [[1000, 0, 0], [990, 140, 0], [309, 951, 0], [-809, 588, 0], [-309, -951, 0]];
+    let triangles = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [1, 3, 2], [1, 4, 3], [1, 0, 4]];
+    let cluster_of = [0, 0, 0, 1, 1, 1];
+    let segmentation = Segmentation { order: (0..6).collect(), starts: vec![0, 3, 6] };
+    let fans = Fans::new(positions.len(), &triangles);
+    let (kinds, _) = classify(&triangles, &cluster_of, &fans, positions.len());
+    assert_eq!(kinds, [Kind::Border; 5]);
+    let input = UnisonInput {
+        positions: &positions,
+        normals: &[Vec3::Z; 5],
+        triangles: &triangles,
+        segmentation: &segmentation,
+        cluster_of: &cluster_of,
+        fans: &fans,
+        kinds: &kinds,
+    };
+    let collapses = simplify(&input, 2, 1.25, &|_| ());
+    assert!(collapses.counts[1] < 5);
+    let b = Baked { triangles: triangles.to_vec(), cluster_of: cluster_of.to_vec(), kinds, collapses };
+    let edges = edge_counts(&b, 1);
+    assert!(edges.iter().all(|(e, n)| *n == 1 && edges.contains_key(&[e[1], e[0]])), "{edges:?}");
 }

@@ -33,6 +33,10 @@ const SMALL_COUNT: f64 = 4096.0;
 const SMALL_STEP: f64 = 0.4;
 /// Factor by which the limit rises at least, and there.
 const MIN_FACTORS: [f64; 2] = [1.01, 1.002];
+/// And at most.
+const MAX_FACTOR: f64 = 6.0;
+/// Lowest limit to start with, in squared diagonals.
+const FIRST_LIMIT: f32 = 1e-14;
 /// Where a rise of the limit by this factor leaves more than this share of the vertices, a level ends: the shape does not
 /// allow less, and higher limits would only cost quality.
 const STALL_RISE: f32 = 4.0;
@@ -105,7 +109,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
         patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
-        search.start_level(level, ratio);
+        search.start_level(level, ratio, alive as f64);
         for round in 0..MAX_ROUNDS {
             if alive as f64 <= target * TARGET_TOLERANCE || search.exhausted() {
                 break;
@@ -169,6 +173,10 @@ struct Search {
     diagonal: f32,
     last: Option<(f64, f64)>,
     slope: f64,
+    /// Did the last round leave all as it was?
+    idle: bool,
+    /// Count at the start of the level.
+    start: f64,
     /// Limit and count where it was last seen that raising the limit helps; `true` when it no longer does.
     progress: (f32, f64),
     stalled: bool,
@@ -185,26 +193,28 @@ impl Search {
                 hi[k] = hi[k].max(p[k]);
             }
         }
-        let diagonal = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
+        let diagonal: f32 = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
         Search {
-            limit: limit.max(f32::MIN_POSITIVE),
+            limit: limit.max(diagonal * FIRST_LIMIT).max(f32::MIN_POSITIVE),
             end: diagonal,
             diagonal,
             last: None,
             slope: -0.5,
+            idle: false,
+            start: 0.0,
             progress: (0.0, f64::INFINITY),
             stalled: false,
         }
     }
 
     /// Sets how far the limit may rise at a level. On smooth surfaces it rises by the squared ratio.
-    fn start_level(&mut self, level: usize, ratio: f64) {
+    fn start_level(&mut self, level: usize, ratio: f64, count: f64) {
         let natural = match level {
             0 => 0.0,
             _ => f64::from(self.limit) * ratio * ratio * MAX_RISE,
         };
         let always = f64::from(self.diagonal) * (FREE_ERROR * ratio.powi(level as i32)).powi(2);
-        (self.progress, self.stalled) = ((self.limit, f64::INFINITY), false);
+        (self.start, self.progress, self.stalled) = (count, (self.limit, f64::INFINITY), false);
         self.end = (natural.max(always) as f32).min(self.diagonal);
     }
 
@@ -214,11 +224,12 @@ impl Search {
 
     fn record(&mut self, count: f64) {
         let now = (f64::from(self.limit).ln(), count.ln());
+        self.idle = self.last.is_some_and(|l| l.1 == now.1);
         if let Some(last) = self.last.filter(|l| now.0 - l.0 > 1e-3) {
             self.slope = ((now.1 - last.1) / (now.0 - last.0)).clamp(-2.0, -0.1);
         }
         self.last = Some(now);
-        if self.limit >= self.progress.0 * STALL_RISE {
+        if count < self.start && self.limit >= self.progress.0 * STALL_RISE {
             self.stalled = count > self.progress.1 * STALL_SHARE;
             self.progress = (self.limit, count);
         }
@@ -234,7 +245,10 @@ impl Search {
             near => near,
         };
         let least = MIN_FACTORS[usize::from(count < SMALL_COUNT)];
-        let factor = (aim / self.slope).exp().clamp(least, 6.0) as f32;
+        let factor = match self.idle {
+            true => MAX_FACTOR,
+            false => (aim / self.slope).exp().clamp(least, MAX_FACTOR),
+        } as f32;
         let queued = cost_of_rank(patches, (count - target) as usize).unwrap_or(f32::INFINITY);
         self.limit = (self.limit * factor).min(queued.max(self.limit * least as f32)).min(self.end);
     }
