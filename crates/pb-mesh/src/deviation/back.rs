@@ -8,10 +8,12 @@ use rayon::prelude::*;
 /// Steps over the input from a corner of a coarse triangle to a point of it.
 const MAX_WALK_BACK: usize = 128;
 
-/// Below this many coarse triangles, all are sampled densely.
+/// Below this many coarse triangles, walks that seem to be held up are checked.
 const FEW_TRIANGLES: usize = 1 << 16;
-/// Samples along an edge of these.
-const FEW_STEPS: u32 = 6;
+/// Samples of a level, if that is not less than one per triangle.
+const SAMPLES: f32 = 65_536.0;
+/// Samples along the edge of a coarse triangle of common size at most.
+const TYPICAL_STEPS: u32 = 6;
 /// Samples along the edge of a coarse triangle at most.
 const MAX_STEPS: u32 = 12;
 
@@ -31,7 +33,8 @@ impl Field<'_> {
         // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
         let few = self.pair.coarse.len() < FEW_TRIANGLES;
         let ratio = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1);
-        let typical = if few { FEW_STEPS } else { (ratio.ilog2() / 2).clamp(1, FEW_STEPS) };
+        let affordable = (2.0 * SAMPLES / self.pair.coarse.len().max(1) as f32).sqrt() as u32;
+        let typical = (ratio.ilog2() / 2).max(affordable).clamp(1, TYPICAL_STEPS);
         let longest = |tri: &[u32; 3]| {
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             (0..3).map(|k| p[k].distance_squared(p[(k + 1) % 3])).fold(0.0, f32::max).sqrt()
