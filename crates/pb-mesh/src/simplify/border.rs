@@ -48,8 +48,8 @@ impl Seam {
         Seam { clusters, vertices, known }
     }
 
-    /// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many.
-    pub fn collapse(&mut self, a: &mut Patch, b: &mut Patch, limit: f32, level: u8) -> usize {
+    /// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
+    pub fn collapse(&mut self, a: &mut Patch, b: &mut Patch, limit: f32, level: u8, quota: usize) -> usize {
         let mut queue = BinaryHeap::new();
         for i in 0..self.vertices.len() {
             let v = self.vertices[i];
@@ -64,7 +64,7 @@ impl Seam {
         let mut count = 0;
         while let Some(Reverse((bits, i))) = queue.pop() {
             let v = self.vertices[i as usize];
-            if f32::from_bits(bits) > limit {
+            if f32::from_bits(bits) > limit || count == quota {
                 break;
             }
             if !a.is_alive(v[0]) || self.known[i as usize].cost.to_bits() != bits {

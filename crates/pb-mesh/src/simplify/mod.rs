@@ -111,13 +111,16 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
         search.start_level(level, ratio, alive as f64);
         for round in 0..MAX_ROUNDS {
-            if alive as f64 <= target * TARGET_TOLERANCE || search.exhausted() {
+            let small = (alive as f64) < SMALL_COUNT;
+            let enough = if small { target.round() } else { target * TARGET_TOLERANCE };
+            if alive as f64 <= enough || search.exhausted() {
                 break;
             }
             if round > 0 || level > 0 {
                 search.advance(&patches, alive as f64, target);
             }
-            alive -= run_round(&patches, &mut seams, search.limit, level as u8, target / alive as f64);
+            let quota = if small { alive - target.round() as usize } else { usize::MAX };
+            alive -= run_round(&patches, &mut seams, search.limit, level as u8, target / alive as f64, quota);
             search.record(alive as f64);
             progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
         }
@@ -141,27 +144,35 @@ fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
     p.lock().expect("no thread panics while it holds a patch")
 }
 
-/// One round under one cost limit; returns how many positions died.
-fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, level: u8, keep: f64) -> usize {
-    let inside: usize = patches
-        .par_iter()
-        .map(|p| {
-            let mut p = lock(p);
-            let quota = (p.alive() as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
-            p.collapse_interior(limit, level) + p.vanish(limit, level, quota)
-        })
-        .sum();
-    let along: usize = seams
-        .iter_mut()
-        .map(|group| {
-            let one = |s: &mut Seam| {
-                let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
-                s.collapse(&mut a, &mut b, limit, level)
-            };
-            group.par_iter_mut().map(one).sum::<usize>()
-        })
-        .sum();
-    inside + along
+/// One round under one cost limit; returns how many positions died. Where there is a quota, the patches take from it one
+/// after the other; only a part that vanishes as a whole may exceed it.
+fn run_round(
+    patches: &[Mutex<Patch>],
+    seams: &mut [Vec<Seam>],
+    limit: f32,
+    level: u8,
+    keep: f64,
+    quota: usize,
+) -> usize {
+    let inside = |p: &Mutex<Patch>, quota: usize| {
+        let mut p = lock(p);
+        let vanishing = (p.alive() as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
+        let collapsed = p.collapse_interior(limit, level, quota);
+        collapsed + p.vanish(limit, level, vanishing.min(quota - collapsed))
+    };
+    let along = |s: &mut Seam, quota: usize| {
+        let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
+        s.collapse(&mut a, &mut b, limit, level, quota)
+    };
+    if quota == usize::MAX {
+        let inside: usize = patches.par_iter().map(|p| inside(p, quota)).sum();
+        let along = |group: &mut Vec<Seam>| group.par_iter_mut().map(|s| along(s, quota)).sum::<usize>();
+        return inside + seams.iter_mut().map(along).sum::<usize>();
+    }
+    let mut died = 0;
+    patches.iter().for_each(|p| died += inside(p, quota.saturating_sub(died)));
+    seams.iter_mut().flatten().for_each(|s| died += along(s, quota.saturating_sub(died)));
+    died
 }
 
 /// The cost limit of the rounds, steered so that counts come down on their targets from above.

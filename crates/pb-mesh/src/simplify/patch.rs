@@ -247,8 +247,8 @@ impl Patch {
         }
     }
 
-    /// Collapses inside the cluster, cheapest first, while the cost is at most `limit`; returns how many.
-    pub fn collapse_interior(&mut self, limit: f32, level: u8) -> usize {
+    /// Collapses inside the cluster, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
+    pub fn collapse_interior(&mut self, limit: f32, level: u8, quota: usize) -> usize {
         let mut entries = std::mem::take(&mut self.queue).into_vec();
         entries.clear();
         let below = (0..self.best.len() as u32).filter(|&v| self.best[v as usize].0 <= limit && self.moves_alone(v));
@@ -256,7 +256,7 @@ impl Patch {
         self.queue = BinaryHeap::from(entries);
         self.limit = limit;
         let mut count = 0;
-        while let Some(Reverse((bits, v))) = self.queue.pop() {
+        while let Some(Reverse((bits, v))) = self.queue.pop().filter(|_| count < quota) {
             if self.moves_alone(v) && self.best[v as usize].0.to_bits() == bits {
                 count += self.collapse_vertex(v, level) as usize;
             }
