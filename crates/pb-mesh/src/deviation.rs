@@ -58,8 +58,6 @@ pub struct LevelPair<'a> {
     pub ancestors: &'a [u32],
     /// True for positions on an open border of the mesh.
     pub open: &'a [bool],
-    /// Connected component of each position.
-    pub components: &'a [u32],
 }
 
 /// Distances between the input and a level, grid quanta.
@@ -180,9 +178,6 @@ impl Field<'_> {
             return (0.0, NONE);
         }
         let a = self.pair.ancestors[v as usize];
-        if self.pair.components[a as usize] != self.pair.components[v as usize] {
-            return (0.0, NONE);
-        }
         match self.fans.around(a) {
             [] => (relative(self.pair.positions, v, a).length(), NONE),
             around if a == v => (0.0, around[0]),
@@ -253,7 +248,7 @@ impl Field<'_> {
             return 0.0;
         }
         let a = self.pair.ancestors[v as usize];
-        if a == v || self.pair.components[a as usize] != self.pair.components[v as usize] {
+        if a == v {
             return 0.0;
         }
         let from = relative(self.pair.positions, v, a);
@@ -419,7 +414,11 @@ impl Field<'_> {
 
 /// How far a point of a triangle is from its nearest corner at most: no distance rises by more in between.
 fn farthest_from_corners(t: [Vec3; 3]) -> f32 {
-    (0..3).map(|k| t[k].distance_squared(t[(k + 1) % 3])).fold(0.0, f32::max).sqrt() * FARTHEST_FROM_CORNERS
+    longest_edge(t) * FARTHEST_FROM_CORNERS
+}
+
+fn longest_edge(t: [Vec3; 3]) -> f32 {
+    (0..3).map(|k| t[k].distance_squared(t[(k + 1) % 3])).fold(0.0, f32::max).sqrt()
 }
 
 /// A part of an input triangle, its images and a bound of its distance, ordered by the bound.

@@ -21,6 +21,8 @@ pub struct Segmentation {
     pub order: Vec<u32>,
     /// First entry of each cluster in `order`, and one past the last.
     pub starts: Vec<u32>,
+    /// Connected component of each position: the smallest position it hangs together with.
+    pub components: Vec<u32>,
 }
 
 impl Segmentation {
@@ -56,7 +58,8 @@ pub fn segment(
     max_triangles: usize,
 ) -> Segmentation {
     assert!(max_triangles > 0 && corners.len() == triangles.len());
-    let mut items = keys(positions, triangles, max_triangles / SMALL_COMPONENT);
+    let components = components(positions.len(), triangles);
+    let mut items = keys(positions, triangles, &components, max_triangles / SMALL_COMPONENT);
     let mut sizes = Vec::new();
     split(&mut items, max_triangles, corners, &mut sizes);
     let mut order: Vec<u32> = items.par_iter().map(|i| i.triangle).collect();
@@ -70,17 +73,16 @@ pub fn segment(
     }
     // Inputs mostly have neighbours near each other: whoever walks over a cluster gains from that.
     runs.into_par_iter().for_each(|run| run.sort_unstable());
-    Segmentation { order, starts }
+    Segmentation { order, starts, components }
 }
 
 /// Sort keys: the centroid of the triangle, or of its whole component where that is small.
-fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], small: usize) -> Vec<Item> {
+fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], component: &[u32], small: usize) -> Vec<Item> {
     let lo =
         positions.par_iter().copied().reduce(|| [f64::INFINITY; 3], |a, b| std::array::from_fn(|k| a[k].min(b[k])));
     let centroid = |t: &[u32; 3]| -> [f64; 3] {
         std::array::from_fn(|k| t.iter().map(|&v| positions[v as usize][k] - lo[k]).sum::<f64>() / 3.0)
     };
-    let component = components(positions.len(), triangles);
     let mut sums: Vec<([f64; 3], u32)> = vec![([0.0; 3], 0); positions.len()];
     for t in triangles {
         sums[component[t[0] as usize] as usize].1 += 1;
@@ -108,7 +110,7 @@ fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], small: usize) -> Vec<Ite
 }
 
 /// Connected components over shared positions: for every position the smallest position it hangs together with.
-pub fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..positions as u32).collect();
     fn find(parent: &mut [u32], mut v: u32) -> u32 {
         while parent[v as usize] != v {

@@ -200,7 +200,7 @@ fn no_two_clusters_get_the_same_edge() {
     let positions = [[1000, 0, 0], [990, 140, 0], [309, 951, 0], [-809, 588, 0], [-309, -951, 0]];
     let triangles = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [1, 3, 2], [1, 4, 3], [1, 0, 4]];
     let cluster_of = [0, 0, 0, 1, 1, 1];
-    let segmentation = Segmentation { order: (0..6).collect(), starts: vec![0, 3, 6] };
+    let segmentation = Segmentation { order: (0..6).collect(), starts: vec![0, 3, 6], components: vec![0; 5] };
     let fans = Fans::new(positions.len(), &triangles);
     let (kinds, _) = classify(&triangles, &cluster_of, &fans, positions.len());
     assert_eq!(kinds, [Kind::Border; 5]);

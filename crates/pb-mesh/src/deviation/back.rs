@@ -1,6 +1,6 @@
 //! From the coarse surface back to the input, by samples.
 
-use super::{Field, GOOD_ENOUGH, UNREFINED, relative};
+use super::{Field, GOOD_ENOUGH, UNREFINED, longest_edge, relative};
 use crate::closest::{closest_feature, closest_on_triangle};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -35,10 +35,7 @@ impl Field<'_> {
         let ratio = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1);
         let affordable = (2.0 * SAMPLES / self.pair.coarse.len().max(1) as f32).sqrt() as u32;
         let typical = (ratio.ilog2() / 2).max(affordable).clamp(1, TYPICAL_STEPS);
-        let longest = |tri: &[u32; 3]| {
-            let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
-            (0..3).map(|k| p[k].distance_squared(p[(k + 1) % 3])).fold(0.0, f32::max).sqrt()
-        };
+        let longest = |tri: &[u32; 3]| longest_edge(tri.map(|v| relative(self.pair.positions, tri[0], v)));
         let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
         let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
         let samples = |((tri, &cluster), &length): ((&[u32; 3], &u32), &f32)| {

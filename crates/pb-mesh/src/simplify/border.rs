@@ -53,8 +53,7 @@ impl Seam {
         let mut queue = BinaryHeap::new();
         for i in 0..self.vertices.len() {
             let v = self.vertices[i];
-            let weights = [a.quadrics[v[0] as usize].weight, b.quadrics[v[1] as usize].weight];
-            if a.is_alive(v[0]) && self.known[i].weights != weights {
+            if a.is_alive(v[0]) && self.known[i].weights != weights(a, b, v) {
                 self.look_at(i, a, b);
             }
             if a.is_alive(v[0]) && self.known[i].cost <= limit {
@@ -112,10 +111,14 @@ impl Seam {
 
     fn look_at(&mut self, i: usize, a: &mut Patch, b: &mut Patch) {
         let v = self.vertices[i];
-        let weights = [a.quadrics[v[0] as usize].weight, b.quadrics[v[1] as usize].weight];
         let cost = moves(a, b, v).first().map_or(f32::INFINITY, |m| m.cost);
-        self.known[i] = Known { cost, weights };
+        self.known[i] = Known { cost, weights: weights(a, b, v) };
     }
+}
+
+/// Weights of the quadrics of a border vertex in both patches.
+fn weights(a: &Patch, b: &Patch, v: [u32; 2]) -> [f32; 2] {
+    [a.quadrics[v[0] as usize].weight, b.quadrics[v[1] as usize].weight]
 }
 
 /// Is the move of `v`, whose fans are laid out, legal in both patches?

@@ -13,7 +13,7 @@ mod patch;
 mod quadric;
 mod vanish;
 
-use crate::segment::{Segmentation, components};
+use crate::segment::Segmentation;
 use crate::topology::{Fans, Kind, border_pair};
 use border::Seam;
 use glam::Vec3;
@@ -77,8 +77,6 @@ pub struct Collapses {
     pub last_level: Vec<u8>,
     /// Positions alive per level.
     pub counts: Vec<usize>,
-    /// Connected component of each position: the smallest position it hangs together with.
-    pub components: Vec<u32>,
 }
 
 impl Collapses {
@@ -93,14 +91,13 @@ impl Collapses {
 
 /// Simplifies to `levels` levels, each with `1 / ratio` of the positions of the one before.
 pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
-    let component = components(input.positions.len(), input.triangles);
     let area = mean_area(input);
     let members = Members::new(input);
     let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len())
         .into_par_iter()
-        .map(|c| Mutex::new(Patch::new(patch_input(input, &members, &component, area, c as u32))))
+        .map(|c| Mutex::new(Patch::new(patch_input(input, &members, area, c as u32))))
         .collect();
-    let mut seams = color_seams(build_seams(input, &patches));
+    let mut seams = color_seams(build_seams(input, &members));
     let mut counts = vec![input.positions.len()];
     let mut search = Search::new(&patches, input.positions);
     let mut alive = input.positions.len();
@@ -126,7 +123,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         }
         counts.push(alive);
     }
-    collect(&patches, input.positions.len(), levels, counts, component)
+    collect(&patches, input.positions.len(), levels, counts)
 }
 
 /// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
@@ -287,9 +284,9 @@ impl Members {
         let mut clusters = vec![Vec::new(); input.segmentation.len()];
         let mut place = vec![0; input.positions.len()];
         for v in 0..input.positions.len() as u32 {
-            let mut around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
+            let around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
             let alone = matches!(input.kinds[v as usize], Kind::Inner | Kind::Open);
-            for c in around.by_ref().take(if alone { 1 } else { usize::MAX }) {
+            for c in around.take(if alone { 1 } else { usize::MAX }) {
                 let list: &mut Vec<u32> = &mut clusters[c as usize];
                 if list.last() != Some(&v) {
                     place[v as usize] = list.len() as u32;
@@ -310,7 +307,7 @@ impl Members {
     }
 }
 
-fn patch_input(input: &UnisonInput, members: &Members, component: &[u32], mean_area: f32, c: u32) -> PatchInput {
+fn patch_input(input: &UnisonInput, members: &Members, mean_area: f32, c: u32) -> PatchInput {
     let triangles = input.segmentation.cluster(c as usize);
     let global = members.clusters[c as usize].clone();
     let origin = input.positions[global[0] as usize];
@@ -334,7 +331,7 @@ fn patch_input(input: &UnisonInput, members: &Members, component: &[u32], mean_a
         triangles: triangles.iter().map(|&t| input.triangles[t as usize].map(|v| members.local(c, v))).collect(),
         kinds: global.iter().map(|&v| input.kinds[v as usize]).collect(),
         normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
-        components: small_components(&global, component, &positions, &shared_start),
+        components: small_components(&global, &input.segmentation.components, &positions, &shared_start),
         positions,
         mean_area,
         shared_start,
@@ -372,7 +369,7 @@ fn small_components(
 }
 
 /// The borders between two clusters, ascending by clusters.
-fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<Seam> {
+fn build_seams(input: &UnisonInput, members: &Members) -> Vec<Seam> {
     let mut ends: Vec<([u32; 2], u32)> = (0..input.positions.len() as u32)
         .into_par_iter()
         .filter(|&v| input.kinds[v as usize] == Kind::Border)
@@ -382,10 +379,7 @@ fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<Seam> {
     ends.chunk_by(|a, b| a.0 == b.0)
         .map(|group| {
             let clusters = group[0].0;
-            let local = |k: usize, v: u32| {
-                let p = lock(&patches[clusters[k] as usize]);
-                p.input.global.binary_search(&v).expect("a border position is in both clusters") as u32
-            };
+            let local = |k: usize, v: u32| members.local(clusters[k], v);
             Seam::new(clusters, group.iter().map(|&(_, v)| [local(0, v), local(1, v)]).collect())
         })
         .collect()
@@ -407,13 +401,7 @@ fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
     groups.into_iter().map(|g| g.1).collect()
 }
 
-fn collect(
-    patches: &[Mutex<Patch>],
-    positions: usize,
-    levels: usize,
-    counts: Vec<usize>,
-    components: Vec<u32>,
-) -> Collapses {
+fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Vec<usize>) -> Collapses {
     let mut parent: Vec<u32> = (0..positions as u32).collect();
     let mut last_level = vec![(levels - 1) as u8; positions];
     for p in patches {
@@ -425,5 +413,5 @@ fn collect(
             }
         }
     }
-    Collapses { parent, last_level, counts, components }
+    Collapses { parent, last_level, counts }
 }

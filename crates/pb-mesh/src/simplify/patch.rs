@@ -179,18 +179,14 @@ impl Patch {
 
     /// True for vertices that this patch may collapse without asking a neighbour.
     fn moves_alone(&self, v: u32) -> bool {
-        self.death[v as usize] == u8::MAX && matches!(self.input.kinds[v as usize], Kind::Inner | Kind::Open)
+        self.is_alive(v) && matches!(self.input.kinds[v as usize], Kind::Inner | Kind::Open)
     }
 
-    /// Where the vertex of the fan may go, into `candidates`, with raw costs. Kinds only (design I2).
+    /// Where the vertex of the fan, which moves alone, may go, into `candidates`, with raw costs. Kinds only (design I2).
     fn list_candidates(&mut self) {
         let (v, mut list) = (self.fan.center, std::mem::take(&mut self.candidates));
         list.clear();
-        let open = match self.input.kinds[v as usize] {
-            Kind::Inner => false,
-            Kind::Open => true,
-            Kind::Border | Kind::Locked => return,
-        };
+        let open = self.input.kinds[v as usize] == Kind::Open;
         let target = |u: u32| !open || matches!(self.input.kinds[u as usize], Kind::Open | Kind::Locked);
         // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
         let mut add = |u: u32| {
@@ -208,7 +204,7 @@ impl Patch {
     /// Cost of moving `v` onto `u`, squared quanta: distance to the planes merged into `v`, and the bend of normals.
     fn cost(&self, v: u32, u: u32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
-        self.quadrics[v as usize].at(d) * self.scales[v as usize] + self.appearance_cost(v, u, d)
+        self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d)
     }
 
     /// Squared distance at offset `d` from `v`, scaled, and the area of the planes behind it.

@@ -13,7 +13,7 @@ impl Patch {
                 break;
             }
             let (_, members) = self.input.components.pop().expect("just seen");
-            let mut living = members.into_iter().filter(|&v| self.death[v as usize] == u8::MAX);
+            let mut living = members.into_iter().filter(|&v| self.is_alive(v));
             let Some(point) = living.next() else { continue };
             let others: Vec<u32> = living.collect();
             self.corners.drop_around(point);
@@ -38,7 +38,7 @@ impl Patch {
     pub fn bury_points(&mut self, level: u8) -> usize {
         let mut points = std::mem::take(&mut self.points);
         points.sort_unstable();
-        let mut heirs: Vec<u32> = (0..self.death.len() as u32).filter(|&h| self.death[h as usize] == u8::MAX).collect();
+        let mut heirs: Vec<u32> = (0..self.death.len() as u32).filter(|&h| self.is_alive(h)).collect();
         if !points.is_empty() {
             heirs.retain(|h| points.binary_search(h).is_err());
         }

@@ -5,6 +5,7 @@ use bytemuck::Zeroable;
 use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::display::LodTable;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, MAX_LEVELS, ModelRecord, Vertex};
+use pb_lod::progressive_buffers::model::FLAG_COLORS;
 use pb_render::{ChunkData, Gpu, ModelTables, PictureFormat, Renderer, Samples};
 
 /// What the tests draw.
@@ -40,7 +41,7 @@ impl RandomModel {
     pub fn new(seed: u64, clusters: u32, levels: u32) -> Self {
         let mut random = Random(seed);
         let mut out = Self {
-            model: ModelRecord { quantum: 1.0 / 1024.0, levels, clusters, flags: 1, ..ModelRecord::zeroed() },
+            model: ModelRecord { quantum: 1.0 / 1024.0, levels, clusters, flags: FLAG_COLORS, ..ModelRecord::zeroed() },
             clusters: Vec::new(),
             levels: Vec::new(),
             neighbours: Vec::new(),

@@ -106,9 +106,7 @@ fn snap_points(
         .map(|(v, p)| {
             let shift = match plain {
                 true => 0,
-                false => {
-                    fans.around(v as u32).iter().map(|&t| shifts[cluster_of[t as usize] as usize]).max().unwrap_or(0)
-                }
+                false => coarsest_step(v as u32, cluster_of, fans, shifts),
             };
             let step = quantum * f64::from(1u32 << shift);
             std::array::from_fn(|k| (((p[k] - origin[k]) / step).round() as i32) << shift)

@@ -22,6 +22,7 @@ use pb_mesh::segment::{Segmentation, segment};
 use pb_mesh::simplify::{Collapses, UnisonInput, simplify};
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Most neighbours that border slots can name.
 const MAX_NEIGHBOURS: usize = 255;
@@ -227,18 +228,19 @@ struct LevelErrors {
 const MEASURE_STEP: usize = 2;
 
 /// A level as triangles over positions, with the cluster of each.
-struct LevelSurface {
-    triangles: Vec<[u32; 3]>,
-    cluster_of: Vec<u32>,
+struct LevelSurface<'a> {
+    triangles: Cow<'a, [[u32; 3]]>,
+    cluster_of: Cow<'a, [u32]>,
 }
 
-impl LevelSurface {
+impl LevelSurface<'_> {
     /// The next coarser level.
-    fn coarser(&self, collapses: &Collapses, level: u8) -> Self {
+    fn coarser(&self, collapses: &Collapses, level: u8) -> LevelSurface<'static> {
         let at = |t: &[u32; 3]| t.map(|v| collapses.ancestor(v, level));
-        let kept = self.triangles.par_iter().zip(&self.cluster_of).map(|(t, &c)| (at(t), c));
-        let (triangles, cluster_of) = kept.filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).unzip();
-        LevelSurface { triangles, cluster_of }
+        let kept = self.triangles.par_iter().zip(&*self.cluster_of).map(|(t, &c)| (at(t), c));
+        let (triangles, cluster_of): (Vec<_>, Vec<_>) =
+            kept.filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).unzip();
+        LevelSurface { triangles: triangles.into(), cluster_of: cluster_of.into() }
     }
 }
 
@@ -254,10 +256,12 @@ fn measure_levels(
     progress: &dyn Fn(f32),
 ) -> Vec<LevelErrors> {
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
+    let components = &clusters.segmentation.components;
     let open = open_positions(triangles, clusters);
     let mut ancestors: Vec<u32> = (0..grid.points.len() as u32).collect();
     let round_up = |x: f64| (x as f32).next_up();
-    let mut surfaces = vec![LevelSurface { triangles: triangles.to_vec(), cluster_of: clusters.cluster_of.clone() }];
+    let mut surfaces =
+        vec![LevelSurface { triangles: triangles.into(), cluster_of: clusters.cluster_of.as_slice().into() }];
     let mut list = vec![LevelErrors {
         max: grid.snap_errors.iter().map(|&e| round_up(e)).collect(),
         rms: (grid.snap_squares / grid.points.len() as f64).sqrt(),
@@ -267,7 +271,7 @@ fn measure_levels(
         // A component that has vanished is measured against the point that it shrank to.
         ancestors.par_iter_mut().for_each(|v| {
             let a = collapses.ancestor(*v, level);
-            if collapses.components[a as usize] == collapses.components[*v as usize] {
+            if components[a as usize] == components[*v as usize] {
                 *v = a;
             }
         });
@@ -284,7 +288,6 @@ fn measure_levels(
             coarse_cluster_of: &coarse.cluster_of,
             ancestors: &ancestors,
             open: &open,
-            components: &collapses.components,
         };
         let deviation = measure(&pair, count);
         let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
