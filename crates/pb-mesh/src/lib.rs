@@ -5,6 +5,7 @@
 mod closest;
 pub mod corners;
 pub mod deviation;
+pub mod material;
 pub mod mesh;
 pub mod normals;
 pub mod polygon;
@@ -12,5 +13,6 @@ pub mod repair;
 pub mod segment;
 pub mod simplify;
 pub mod split;
+pub mod texture;
 pub mod topology;
 pub mod weld;

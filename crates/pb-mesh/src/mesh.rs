@@ -19,6 +19,11 @@ pub struct Soup {
     pub colors: Vec<[u8; 4]>,
     /// Record indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
+    /// Sets of texture coordinates, each one per position; v runs downwards from the image's top (as in glTF; OBJ
+    /// readers turn theirs over). None where no material has an image.
+    pub uv_sets: Vec<Vec<[f32; 2]>>,
+    /// Empty, or one per triangle: index into the scene's materials.
+    pub material_of: Vec<u32>,
     /// Faces of the input with more than three corners.
     pub polygons_triangulated: u64,
     /// Vertices that no face uses and that the reader has left out already.
@@ -82,6 +87,17 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Whether the input had colours; else every wedge is white.
     pub has_colors: bool,
+    /// Where some material has an image.
+    pub texturing: Option<Texturing>,
+}
+
+/// Which images lie how on the triangles of a [`Mesh`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Texturing {
+    /// Per triangle: index into the scene's materials.
+    pub material_of: Vec<u32>,
+    /// Per set of texture coordinates, per triangle, per corner; see [`Soup::uv_sets`].
+    pub corner_uvs: Vec<Vec<[[f32; 2]; 3]>>,
 }
 
 impl Mesh {

@@ -154,7 +154,7 @@ mod tests {
     fn mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Mesh {
         let wedge = |i| Wedge { position: i, normal: [0.0, 0.0, 1.0], color: [255; 4] };
         let wedges = (0..positions.len() as u32).map(wedge).collect();
-        Mesh { positions: positions.to_vec(), wedges, triangles: triangles.to_vec(), has_colors: false }
+        Mesh { positions: positions.to_vec(), wedges, triangles: triangles.to_vec(), ..Mesh::default() }
     }
 
     fn broken(mesh: &Mesh) -> u64 {
