@@ -97,6 +97,8 @@ pub struct Plan {
     pub missing_chunks: u32,
     /// Residency floors of all clusters for this frame (levels, float).
     pub floors: Vec<f32>,
+    /// The same of texture mips; empty where the model has no textures.
+    pub texture_floors: Vec<f32>,
     /// The detail after the budget was applied.
     pub detail: Option<Detail>,
     /// Largest projected error of what is drawn, pixels.

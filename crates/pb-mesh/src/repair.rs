@@ -172,7 +172,13 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
     let made = wedges(&surface, &normal_options);
     report.normals_made = made.normals_made;
     report.normals_repaired = made.normals_repaired;
-    let mut mesh = Mesh { wedges: made.wedges, triangles: made.triangles, has_colors: !colors.is_empty(), positions, texturing: None };
+    let mut mesh = Mesh {
+        wedges: made.wedges,
+        triangles: made.triangles,
+        has_colors: !colors.is_empty(),
+        positions,
+        texturing: None,
+    };
     if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
         report.positions_split = split_non_manifold(&mut mesh);
     }

@@ -113,6 +113,7 @@ impl Stage {
             levels: model.level_records(),
             neighbours: model.neighbour_entries(),
             nodes: model.nodes(),
+            textures: None,
             chunk_bytes: &chunk_bytes,
         });
         let coarse_bytes: u64 = chunk_bytes.iter().skip(coarsest as usize).step_by(model.levels() as usize).sum();
@@ -184,7 +185,7 @@ impl Stage {
         };
         self.plan = self.selector.select(&frame);
         let wants: Vec<pb_stream::Want> =
-            self.plan.wants.iter().filter(|w| !self.is_coarsest(w.chunk)).map(stream_want).collect();
+            self.plan.wants.iter().filter(|w| !self.model.always_resident(w.chunk)).map(stream_want).collect();
         let released: Vec<pb_stream::ChunkId> = self.plan.released.iter().map(|c| pb_stream::ChunkId(c.0)).collect();
         for command in self.cache.frame(&wants, &released) {
             self.carry_out(gpu, command);

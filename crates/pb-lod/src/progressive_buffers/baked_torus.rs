@@ -54,14 +54,26 @@ pub fn baked(torus: &GridTorus) -> BakedModel {
     };
     let places = (0..torus.clusters.len()).flat_map(|c| (0..levels).map(move |i| (c, i)));
     BakedModel {
+        maps: torus.maps.clone(),
+        tiles: torus.tiles.clone(),
         record: torus.model,
         clusters: torus.clusters.clone(),
         levels: torus.levels.clone(),
         neighbours: torus.neighbours.clone(),
         nodes: torus.nodes.clone(),
         model_levels: (0..levels).map(|i| model_level(torus, i)).collect(),
-        chunks: places.map(chunk).collect(),
+        chunks: places.map(chunk).chain(textures(torus)).collect(),
     }
+}
+
+/// Texture chunks whose bytes count up.
+fn textures(torus: &GridTorus) -> Vec<EncodedChunk> {
+    let chunk = |(cluster, level): (u32, u32)| {
+        let decoded_bytes = torus.textures().chunk_bytes(cluster, level);
+        EncodedChunk { bytes: (0..decoded_bytes).map(|i| (i + cluster) as u8).collect(), decoded_bytes }
+    };
+    let clusters = 0..torus.tiles.len() as u32;
+    clusters.flat_map(|c| (0..torus.model.levels).map(move |i| (c, i))).map(chunk).collect()
 }
 
 fn model_level(torus: &GridTorus, level: usize) -> ModelLevelRecord {

@@ -5,6 +5,7 @@
 use super::displayed_surface::DrawnCluster;
 use super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord, Vertex};
 use super::select::SelectTables;
+use super::textures::{MapFormat, MapKind, MapRecord, Textures, TileRecord};
 
 /// Grid steps between two grid lines of the coarsest level, per cluster side.
 const CELLS: u32 = 2;
@@ -15,6 +16,8 @@ pub struct GridTorus {
     pub levels: Vec<LevelRecord>,
     pub neighbours: Vec<u32>,
     pub nodes: Vec<NodeRecord>,
+    pub maps: Vec<MapRecord>,
+    pub tiles: Vec<TileRecord>,
     pub chunk_bytes: Vec<u64>,
     /// Per cluster: all vertices, and the index buffer of each level.
     pub vertices: Vec<Vec<Vertex>>,
@@ -42,6 +45,8 @@ impl GridTorus {
             levels: Vec::new(),
             neighbours: Vec::new(),
             nodes: Vec::new(),
+            maps: Vec::new(),
+            tiles: Vec::new(),
             chunk_bytes: Vec::new(),
             vertices: Vec::new(),
             indices: Vec::new(),
@@ -52,6 +57,21 @@ impl GridTorus {
         (0..side * side).for_each(|c| torus.add_cluster(c % side, c / side, side, width));
         torus.add_node(0, side * side);
         torus
+    }
+
+    /// The same with a colour map: tiles of `2^size_log2` texels, each texel `texel` world units wide.
+    pub fn with_textures(mut self, size_log2: u8, texel: f32) -> GridTorus {
+        self.maps = vec![MapRecord::new(MapKind::BaseColor, MapFormat::Bc7Srgb)];
+        self.tiles = vec![TileRecord { size_log2, first: [0; 4], reserved: [0; 3], texel }; self.clusters.len()];
+        self.model.flags = super::model::FLAG_TEXTURES;
+        let places = (0..self.model.clusters).flat_map(|c| (0..self.model.levels).map(move |i| (c, i)));
+        let bytes: Vec<u64> = places.map(|(c, i)| self.textures().chunk_bytes(c, i).into()).collect();
+        self.chunk_bytes.extend(bytes);
+        self
+    }
+
+    pub fn textures(&self) -> Textures<'_> {
+        Textures { maps: &self.maps, tiles: &self.tiles, levels: self.model.levels }
     }
 
     fn add_cluster(&mut self, cu: u32, cv: u32, side: u32, width: u32) {
@@ -124,6 +144,7 @@ impl GridTorus {
 
     pub fn tables(&self) -> SelectTables<'_> {
         SelectTables {
+            textures: (!self.maps.is_empty()).then(|| self.textures()),
             model: &self.model,
             clusters: &self.clusters,
             levels: &self.levels,

@@ -44,7 +44,7 @@ pub struct ModelRecord {
     pub clusters: u32,
     /// Triangles in the input files, before repair.
     pub triangles_in: u64,
-    /// Bit 0: vertices carry colours.
+    /// Bit 0: vertices carry colours; bit 1: textures; bit 2: textures with cut-outs.
     pub flags: u32,
     /// Zero.
     pub reserved: [u32; 5],
@@ -131,7 +131,7 @@ pub struct Vertex {
     pub parent: u16,
     /// Octahedral normal: x in bits 0-11, y in bits 12-23; border slot in bits 24-31.
     pub normal_slot: u32,
-    /// RGBA8, sRGB; white where the input has no colours.
+    /// RGBA8, sRGB; white where the input has no colours. In a textured model see [`Vertex::uv`].
     pub color: [u8; 4],
 }
 
@@ -139,6 +139,18 @@ impl Vertex {
     /// Border slot: 0, or 1 + index into the cluster's neighbour list.
     pub fn slot(&self) -> u8 {
         (self.normal_slot >> 24) as u8
+    }
+
+    /// Texture coordinates in a textured model: units of 1 / 65536 of the tile, v downwards.
+    pub fn uv(&self) -> [u16; 2] {
+        let [a, b, c, d] = self.color;
+        [u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d])]
+    }
+
+    /// Texture coordinates as they lie in the place of the colour.
+    pub fn pack_uv([u, v]: [u16; 2]) -> [u8; 4] {
+        let ([a, b], [c, d]) = (u.to_le_bytes(), v.to_le_bytes());
+        [a, b, c, d]
     }
 
     /// Packs a unit normal (object space, any length but zero) and a border slot.

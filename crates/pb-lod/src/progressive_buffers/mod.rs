@@ -9,6 +9,7 @@
 //! - [`verify`](mod@verify): checks every promise of a model on its decoded data;
 //! - [`display`]: the display rule, the Rust twin of the vertex shader;
 //! - [`displayed_surface`](mod@displayed_surface): what a frame shows, all clusters welded;
+//! - [`textures`]: maps, tiles, and which mips lie in which chunk;
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
 //! - [`select`]: what to draw, load and give back in a frame.
 
@@ -31,5 +32,6 @@ mod model_check;
 mod model_tests;
 pub mod select;
 pub mod switch;
+pub mod textures;
 pub mod verify;
 pub mod write;

@@ -8,6 +8,7 @@
 
 use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
 use super::layout::*;
+use super::textures::{MAPS, MapRecord, TILES, Textures, TileRecord};
 use super::{model_check, write::KNOWN_FEATURES};
 use crate::plan::ChunkId;
 use bytemuck::Pod;
@@ -17,6 +18,10 @@ use std::path::{Path, PathBuf};
 
 /// Bit 0 of [`ModelRecord::flags`]: vertices carry colours.
 pub const FLAG_COLORS: u32 = 1;
+/// Bit 1: the model has textures, and vertices texture coordinates instead of colours.
+pub const FLAG_TEXTURES: u32 = 2;
+/// Bit 2: base colours with an alpha below one half are holes.
+pub const FLAG_CUTOUT: u32 = 4;
 
 /// Why an archive is no sound model.
 #[derive(Debug, thiserror::Error)]
@@ -62,6 +67,14 @@ pub enum ChunkFault {
         /// Index in the cluster.
         vertex: u32,
     },
+    /// Texture mips of another size than the tables say.
+    #[error("it has {found} bytes of texels instead of {expected}")]
+    TextureBytes {
+        /// Stored.
+        found: usize,
+        /// By the tables.
+        expected: u32,
+    },
     /// A border slot past the neighbour list.
     #[error("vertex {vertex} has border slot {slot}, but the cluster has {neighbours} neighbours")]
     Slot {
@@ -92,6 +105,7 @@ pub struct Model {
     neighbours: Table<u32>,
     nodes: Table<NodeRecord>,
     model_levels: Table<ModelLevelRecord>,
+    textures: Option<(Table<MapRecord>, Table<TileRecord>)>,
 }
 
 impl Model {
@@ -124,6 +138,10 @@ impl Model {
             neighbours: archive.table(NEIGHBOURS)?,
             nodes: archive.table(NODES)?,
             model_levels: archive.table(MODEL_LEVELS)?,
+            textures: match record.flags & FLAG_TEXTURES {
+                0 => None,
+                _ => Some((archive.table(MAPS)?, archive.table(TILES)?)),
+            },
             archive,
         };
         model_check::check(&model).map_err(|(what, why)| model.table_error(what, why))?;
@@ -152,6 +170,17 @@ impl Model {
     /// True when vertices carry colours; else they are white.
     pub fn has_colors(&self) -> bool {
         self.record.flags & FLAG_COLORS != 0
+    }
+
+    /// Maps and tiles, where the model has textures.
+    pub fn textures(&self) -> Option<Textures<'_>> {
+        let (maps, tiles) = self.textures.as_ref()?;
+        Some(Textures { maps: self.rows(maps), tiles: self.rows(tiles), levels: self.levels() })
+    }
+
+    /// True when base colours with an alpha below one half are holes.
+    pub fn has_cutouts(&self) -> bool {
+        self.record.flags & FLAG_CUTOUT != 0
     }
 
     fn rows<T: Pod>(&self, table: &Table<T>) -> &[T] {
@@ -200,17 +229,43 @@ impl Model {
         ChunkId(cluster * self.levels() + level)
     }
 
-    /// The inverse of [`chunk_id`](Model::chunk_id): (cluster, level).
-    pub fn chunk_place(&self, chunk: ChunkId) -> (u32, u32) {
-        (chunk.0 / self.levels(), chunk.0 % self.levels())
+    /// The chunk of the texture mips that `level` adds in `cluster`, where the model has textures.
+    pub fn texture_chunk_id(&self, cluster: u32, level: u32) -> ChunkId {
+        debug_assert!(level < self.levels() && self.textures.is_some());
+        ChunkId((self.record.clusters + cluster) * self.levels() + level)
     }
 
-    /// The chunk that must be resident before this one (I5); none for the coarsest.
+    /// Chunks of geometry and, where there are any, of textures.
+    pub fn chunk_count(&self) -> u32 {
+        self.record.clusters * self.levels() * if self.textures.is_some() { 2 } else { 1 }
+    }
+
+    /// True for chunks that hold texture mips.
+    pub fn is_texture(&self, chunk: ChunkId) -> bool {
+        chunk.0 >= self.record.clusters * self.levels()
+    }
+
+    /// Cluster and level of a chunk, of geometry or of textures.
+    pub fn chunk_place(&self, chunk: ChunkId) -> (u32, u32) {
+        (chunk.0 / self.levels() % self.record.clusters, chunk.0 % self.levels())
+    }
+
+    /// The chunk of the next coarser level of the same kind; none for the coarsest.
     pub fn coarser(&self, chunk: ChunkId) -> Option<ChunkId> {
         (self.chunk_place(chunk).1 + 1 < self.levels()).then_some(ChunkId(chunk.0 + 1))
     }
 
-    /// The counts of a chunk.
+    /// True for chunks that every viewer keeps from the start: those of the coarsest level, and empty ones.
+    pub fn always_resident(&self, chunk: ChunkId) -> bool {
+        self.coarser(chunk).is_none() || self.is_texture(chunk) && self.decoded_bytes(chunk) == 0
+    }
+
+    /// The chunk that must be resident before this one (I5), if it is not always.
+    pub fn needs(&self, chunk: ChunkId) -> Option<ChunkId> {
+        self.coarser(chunk).filter(|&c| !self.always_resident(c))
+    }
+
+    /// The counts of a chunk of geometry.
     pub fn shape(&self, chunk: ChunkId) -> ChunkShape {
         let records = self.level_records();
         let record = records[chunk.0 as usize];
@@ -221,12 +276,31 @@ impl Model {
         }
     }
 
-    /// Bytes of a chunk in RAM and in VRAM: 16 per vertex and 2 per index, the latter rounded up to 4.
+    /// Bytes of a chunk in RAM and in VRAM: 16 per vertex and 2 per index, the latter rounded up to 4; those of the
+    /// texels of a chunk of textures.
     pub fn decoded_bytes(&self, chunk: ChunkId) -> u32 {
-        self.shape(chunk).decoded_bytes()
+        match self.textures().filter(|_| self.is_texture(chunk)) {
+            Some(textures) => {
+                let (cluster, level) = self.chunk_place(chunk);
+                textures.chunk_bytes(cluster, level)
+            }
+            None => self.shape(chunk).decoded_bytes(),
+        }
     }
 
-    /// Reads, checks and decodes a chunk. May be called from several threads at once.
+    /// Reads and checks the mips of a chunk of textures: bytes as [`Textures::mips`] says, in the archive's formats.
+    pub fn read_texture(&self, chunk: ChunkId) -> Result<&[u8], ModelError> {
+        let bytes = self.archive.chunk(chunk.0)?;
+        let expected = self.decoded_bytes(chunk);
+        if bytes.len() != expected as usize {
+            let (cluster, level) = self.chunk_place(chunk);
+            let fault = ChunkFault::TextureBytes { found: bytes.len(), expected };
+            return Err(ModelError::Chunk { path: self.archive.path().to_owned(), chunk, cluster, level, fault });
+        }
+        Ok(bytes)
+    }
+
+    /// Reads, checks and decodes a chunk of geometry. May be called from several threads at once.
     pub fn read_chunk(&self, chunk: ChunkId) -> Result<Chunk, ModelError> {
         let bytes = self.archive.chunk(chunk.0)?;
         let (cluster, level) = self.chunk_place(chunk);

@@ -4,7 +4,8 @@
 
 use super::codec::{MAX_TRIANGLES, MAX_VERTICES};
 use super::layout::*;
-use super::model::{FLAG_COLORS, Model};
+use super::model::{FLAG_COLORS, FLAG_CUTOUT, FLAG_TEXTURES, Model};
+use super::textures::{map_fault, tile_fault};
 use crate::plan::ChunkId;
 
 type Check = Result<(), (String, String)>;
@@ -20,6 +21,7 @@ pub const MAX_SHIFT: u32 = 15;
 pub(super) fn check(model: &Model) -> Check {
     check_record(model)?;
     check_sizes(model)?;
+    check_textures(model)?;
     check_clusters(model)?;
     check_levels(model)?;
     check_model_levels(model)?;
@@ -39,13 +41,16 @@ fn check_record(model: &Model) -> Check {
     let what = || "the model record".to_string();
     ensure((1..=MAX_LEVELS as u32).contains(&r.levels), what, "the number of levels is not 1 to 12")?;
     ensure(r.clusters >= 1, what, "there are no clusters")?;
-    ensure(r.clusters.checked_mul(r.levels).is_some(), what, "there are more than 2^32 chunks")?;
+    ensure(r.clusters.checked_mul(2 * r.levels).is_some(), what, "there are more than 2^32 chunks")?;
     ensure(r.origin.iter().all(|x| x.is_finite()), what, "the origin is not finite")?;
     let power_of_two = r.quantum.is_normal() && r.quantum > 0.0 && r.quantum.to_bits() << 12 == 0;
     ensure(power_of_two, what, "the quantum is not a power of two")?;
     ensure((0..3).all(|k| r.bounds_min[k] <= r.bounds_max[k]), what, "the bounds are empty")?;
     ensure(on_grid(r.bounds_min) && on_grid(r.bounds_max), what, "the bounds are beyond 2^30 quanta")?;
-    let known = r.flags & !FLAG_COLORS == 0 && r.reserved == [0; 5];
+    let known = r.flags & !(FLAG_COLORS | FLAG_TEXTURES | FLAG_CUTOUT) == 0 && r.reserved == [0; 5];
+    let textured = r.flags & FLAG_TEXTURES != 0;
+    ensure(textured || r.flags & FLAG_CUTOUT == 0, what, "it has cut-outs but no textures")?;
+    ensure(!textured || r.flags & FLAG_COLORS == 0, what, "it has both textures and vertex colours")?;
     ensure(known, what, "reserved bits or bytes are not zero")
 }
 
@@ -55,12 +60,34 @@ fn check_sizes(model: &Model) -> Check {
     for (name, found, expected) in [
         ("the cluster table", model.clusters().len(), r.clusters as usize),
         ("the level table", model.level_records().len(), chunks),
-        ("the chunk table", model.archive().chunks().len(), chunks),
+        ("the chunk table", model.archive().chunks().len(), model.chunk_count() as usize),
         ("the model level table", model.model_levels().len(), r.levels as usize),
         ("the hierarchy", model.nodes().len(), 2 * r.clusters as usize - 1),
     ] {
         if found != expected {
             return Err((name.into(), format!("it has {found} entries instead of {expected}")));
+        }
+    }
+    Ok(())
+}
+
+fn check_textures(model: &Model) -> Check {
+    let Some(textures) = model.textures() else { return Ok(()) };
+    let clusters = model.record().clusters as usize;
+    let tiles = || "the tile table".to_string();
+    ensure(textures.tiles.len() == clusters, tiles, "it has not one entry per cluster")?;
+    if let Some(why) = map_fault(textures.maps) {
+        return Err(("the map table".into(), why.into()));
+    }
+    for (cluster, tile) in textures.tiles.iter().enumerate() {
+        if let Some(why) = tile_fault(tile, textures.maps.len()) {
+            return Err((format!("the tile of cluster {cluster}"), why.into()));
+        }
+        for level in 0..model.levels() {
+            let chunk = model.texture_chunk_id(cluster as u32, level);
+            let fits = model.archive().chunks()[chunk.0 as usize].decoded_bytes == model.decoded_bytes(chunk);
+            let what = || format!("the textures of cluster {cluster} level {level}");
+            ensure(fits, what, "the decoded size in the chunk table differs from the tables of maps and tiles")?;
         }
     }
     Ok(())

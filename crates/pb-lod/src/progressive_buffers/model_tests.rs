@@ -24,7 +24,9 @@ fn tables_that_contradict_one_another_are_refused_with_the_place() {
         (|m| m.clusters[3].origin[0] = i32::MIN, "cluster 3: its origin or centre"),
         (|m| m.clusters[3].center[0] = i32::MIN, "cluster 3: its origin or centre"),
         (|m| m.nodes[3].center[1] = i32::MIN, "hierarchy node 3: its centre"),
-        (|m| m.record.flags = 2, "reserved bits"),
+        (|m| m.record.flags = 8, "reserved bits"),
+        (|m| m.record.flags = 4, "cut-outs but no textures"),
+        (|m| m.record.flags = 2, "section \"TMAP\" is missing"),
         (|m| m.clusters.truncate(8), "the cluster table: it has 8 entries instead of 9"),
         (|m| m.levels.truncate(17), "the level table: it has 17 entries"),
         (|m| m.model_levels.truncate(1), "the model level table"),
@@ -107,6 +109,49 @@ fn a_chunk_whose_vertices_leave_the_bounds_or_the_neighbour_list_is_refused() {
     model.neighbours.pop();
     let text = open(&model).unwrap().read_chunk(ChunkId(16)).err().unwrap().to_string();
     assert!(text.contains("cluster 8 level 0 (chunk 16)") && text.contains("border slot 4"), "{text}");
+}
+
+#[test]
+fn textures_come_back_as_they_were_written() {
+    let torus = torus(3, 3).with_textures(7, 0.5);
+    let model = open(&baked(&torus)).unwrap();
+    let textures = model.textures().expect("it has some");
+    assert_eq!((textures.maps, textures.tiles, model.chunk_count()), (&*torus.maps, &*torus.tiles, 54));
+    for (cluster, level, bytes) in [(0, 0, 128 * 128), (8, 1, 64 * 64), (4, 2, 32 * 32 + 16 * 16 + 8 * 8 + 4 * 4)] {
+        let chunk = model.texture_chunk_id(cluster, level);
+        assert_eq!((model.is_texture(chunk), model.chunk_place(chunk)), (true, (cluster, level)));
+        let read = model.read_texture(chunk).unwrap();
+        assert!(read.len() == bytes && read.iter().enumerate().all(|(i, &b)| b == (i as u32 + cluster) as u8));
+    }
+    assert_eq!(model.needs(model.texture_chunk_id(2, 0)), Some(model.texture_chunk_id(2, 1)));
+    assert_eq!(model.needs(model.texture_chunk_id(2, 1)), None, "the tail is always there");
+}
+
+#[test]
+#[allow(clippy::type_complexity)] // a table of damages
+fn textures_that_contradict_the_tables_are_refused_with_the_place() {
+    let damages: &[(fn(&mut BakedModel), &str)] = &[
+        (|m| m.maps[0].format = 8, "the map table: a kind or format is not known"),
+        (|m| m.maps.push(m.maps[0]), "the map table: the maps are not in the order"),
+        (|m| m.tiles.truncate(8), "the tile table: it has not one entry per cluster"),
+        (|m| m.tiles[3].size_log2 = 13, "the tile of cluster 3: the tile is not 4 to 4096"),
+        (|m| m.tiles[3].size_log2 = 6, "the textures of cluster 3 level 0: the decoded size"),
+        (|m| m.tiles[3].first[0] = 6, "the tile of cluster 3: a map begins after the last mip"),
+        (|m| m.tiles[3].first[1] = 1, "the tile of cluster 3: a map that does not exist"),
+        (|m| m.tiles[3].texel = 0.0, "the tile of cluster 3: the size of its texels"),
+        (|m| m.record.flags |= FLAG_COLORS, "both textures and vertex colours"),
+    ];
+    for (damage, message) in damages {
+        let mut model = baked(&torus(3, 3).with_textures(7, 0.5));
+        damage(&mut model);
+        let text = open(&model).err().unwrap_or_else(|| panic!("{message}")).to_string();
+        assert!(text.contains(message), "{message}: {text}");
+    }
+    let mut model = baked(&torus(3, 3).with_textures(7, 0.5));
+    model.chunks[27].bytes.pop();
+    let model = open(&model).unwrap();
+    let text = model.read_texture(ChunkId(27)).expect_err("too short").to_string();
+    assert!(text.contains("16383 bytes of texels instead of 16384"), "{text}");
 }
 
 #[test]

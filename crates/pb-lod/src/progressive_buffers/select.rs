@@ -10,6 +10,8 @@ mod floors;
 mod tables;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod texture_tests;
 mod walk;
 
 use std::cmp::Ordering;
@@ -18,7 +20,7 @@ pub use tables::SelectTables;
 
 use self::budget::{DetailControl, Target};
 use self::floors::Floors;
-use self::tables::Tables;
+use self::tables::{Ladder, Tables};
 use self::walk::{Eyes, Place, Seen, Walk, walk};
 use super::display::LodTable;
 use super::model::Model;
@@ -34,6 +36,8 @@ const MAYBE_MARGIN: f32 = 0.5;
 pub struct Selector {
     tables: Tables,
     floors: Floors,
+    /// Where there are textures.
+    texture_floors: Option<Floors>,
     control: DetailControl,
 }
 
@@ -41,20 +45,21 @@ impl Selector {
     /// A selector for one archive. At first every cluster stands on its coarsest level.
     pub fn new(tables: &SelectTables) -> Selector {
         let tables = Tables::new(tables);
-        let floors = Floors::new(tables.clusters(), tables.levels);
-        Selector { tables, floors, control: DetailControl::default() }
+        let floors = Floors::new(&tables, Ladder::Geometry);
+        let texture_floors = tables.has_textures().then(|| Floors::new(&tables, Ladder::Texture));
+        Selector { tables, floors, texture_floors, control: DetailControl::default() }
     }
 
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
     pub fn for_model(model: &Model) -> Selector {
-        let chunks = 0..model.level_records().len() as u32;
-        let chunk_bytes: Vec<u64> = chunks.map(|c| model.decoded_bytes(ChunkId(c)) as u64).collect();
+        let chunk_bytes: Vec<u64> = (0..model.chunk_count()).map(|c| model.decoded_bytes(ChunkId(c)) as u64).collect();
         Selector::new(&SelectTables {
             model: model.record(),
             clusters: model.clusters(),
             levels: model.level_records(),
             neighbours: model.neighbour_entries(),
             nodes: model.nodes(),
+            textures: model.textures(),
             chunk_bytes: &chunk_bytes,
         })
     }
@@ -90,7 +95,11 @@ impl Selector {
         let drawn = Switch::new(now, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now), ..Plan::default() };
-        let floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+        let mut floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+        if let Some(floors) = &mut self.texture_floors {
+            floors_stand &= floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+            plan.texture_floors = floors.all().to_vec();
+        }
         self.draw(&walk, &eyes, &drawn, &mut plan);
         self.want(&walk, &target, frame, &mut plan);
         plan.floors = self.floors.all().to_vec();
@@ -129,7 +138,11 @@ impl Selector {
         let switch = Switch::new(target.detail, 1.0, self.tables.quantum);
         for seen in &walk.seen {
             let reach = seen.reach.max(seen.girth * target.nearest);
-            self.want_cluster(&Seen { reach, ..*seen }, &switch, frame, plan);
+            let seen = Seen { reach, ..*seen };
+            self.want_cluster(Ladder::Geometry, &seen, &switch, frame, plan);
+            if self.tables.has_textures() {
+                self.want_cluster(Ladder::Texture, &seen, &switch, frame, plan);
+            }
         }
         plan.wants.sort_by(compare_wants);
         plan.missing_chunks = plan
@@ -140,10 +153,10 @@ impl Selector {
             .count() as u32;
     }
 
-    fn want_cluster(&self, seen: &Seen, switch: &Switch, frame: &Frame, plan: &mut Plan) {
+    fn want_cluster(&self, ladder: Ladder, seen: &Seen, switch: &Switch, frame: &Frame, plan: &mut Plan) {
         let t = &self.tables;
-        let coarsest = t.levels - 1;
-        let level = |margin: f32| t.lod(switch, seen.cluster, seen.reach * margin) as u32;
+        let coarsest = t.coarsest(ladder, seen.cluster);
+        let level = |margin: f32| t.ladder_lod(ladder, switch, seen.cluster, seen.reach * margin) as u32;
         // Finest level of each class; a class that wants nothing names the coarsest level.
         let (now, soon, maybe) = match seen.place {
             Place::Visible => (level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)),
@@ -151,9 +164,10 @@ impl Selector {
             Place::Elsewhere => (coarsest, coarsest, level(1.0)),
         };
         for i in maybe..=coarsest {
-            let chunk = t.chunk(seen.cluster, i);
+            let chunk = t.chunk(ladder, seen.cluster, i);
             let visible_hole = seen.place == Place::Visible && !frame.resident[chunk.0 as usize];
-            if i == coarsest && now == coarsest && !visible_hole {
+            let always_there = ladder == Ladder::Texture;
+            if i == coarsest && (always_there || now == coarsest && !visible_hole) {
                 break; // nothing finer is drawn, and the coarse buffer already shows the cluster
             }
             let class = match () {
@@ -161,7 +175,7 @@ impl Selector {
                 _ if i >= soon => Class::Soon,
                 _ => Class::Maybe,
             };
-            let error_px = t.error_if_missing(seen.cluster, i) / seen.pixel;
+            let error_px = t.error_if_missing(ladder, seen.cluster, i) / seen.pixel;
             plan.wants.push(Want { chunk, class, error_px });
         }
     }
@@ -186,8 +200,12 @@ fn compare_wants(a: &Want, b: &Want) -> Ordering {
 fn bytes_wanted(t: &Tables, walk: &Walk, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     let finer = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
-        let level = t.lod(&switch, s.cluster, s.reach.max(s.girth * target.nearest)) as u32;
-        t.bytes_above_coarsest(s.cluster, level)
+        let reach = s.reach.max(s.girth * target.nearest);
+        let bytes = |ladder| {
+            let level = t.ladder_lod(ladder, &switch, s.cluster, reach) as u32;
+            t.bytes_above_coarsest(ladder, s.cluster, level)
+        };
+        bytes(Ladder::Geometry) + if t.has_textures() { bytes(Ladder::Texture) } else { 0 }
     });
     t.coarse_bytes + finer.sum::<u64>()
 }

@@ -1,12 +1,15 @@
 //! From a finished bake to a file: the other half of [`model`](super::model).
 
 use super::layout::*;
+use super::textures::{MAPS, MapRecord, TILES, TileRecord};
 use pb_archive::{ArchiveError, Feature, Storage, Writer};
 
 /// Chunks are packed as [`codec`](super::codec) says. A later codec gets another bit.
 pub const CHUNK_CODEC: Feature = Feature { bit: 0, name: "meshopt-chunks" };
+/// Chunks behind those of the geometry hold texture mips, and vertices texture coordinates.
+pub const TEXTURE_TILES: Feature = Feature { bit: 1, name: "texture-tiles" };
 /// The required features that this program reads, as bits.
-pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit;
+pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit | 1 << TEXTURE_TILES.bit;
 
 /// A packed chunk.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -32,7 +35,11 @@ pub struct BakedModel {
     pub nodes: Vec<NodeRecord>,
     /// One per level, finest first.
     pub model_levels: Vec<ModelLevelRecord>,
-    /// `cluster * levels + level`.
+    /// The maps of a textured model; else none.
+    pub maps: Vec<MapRecord>,
+    /// Their tiles, one per cluster where there are maps.
+    pub tiles: Vec<TileRecord>,
+    /// `cluster * levels + level`; where there are maps, those of the textures follow in the same order.
     pub chunks: Vec<EncodedChunk>,
 }
 
@@ -42,8 +49,12 @@ pub struct BakedModel {
 pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Result<u64, ArchiveError> {
     writer.require(CHUNK_CODEC);
     let levels = model.record.levels;
+    let kinds = if model.maps.is_empty() { 1 } else { 2 };
+    if kinds == 2 {
+        writer.require(TEXTURE_TILES);
+    }
     for level in (0..levels).rev() {
-        for cluster in 0..model.record.clusters {
+        for cluster in 0..model.record.clusters * kinds {
             let id = cluster * levels + level;
             let chunk = &model.chunks[id as usize];
             writer.put_chunk(id, &chunk.bytes, chunk.decoded_bytes)?;
@@ -55,5 +66,9 @@ pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Res
     writer.add_section(NEIGHBOURS, &model.neighbours)?;
     writer.add_section(NODES, &model.nodes)?;
     writer.add_section(MODEL_LEVELS, &model.model_levels)?;
+    if kinds == 2 {
+        writer.add_section(MAPS, &model.maps)?;
+        writer.add_section(TILES, &model.tiles)?;
+    }
     writer.finish()
 }

@@ -405,6 +405,8 @@ fn assemble(
     };
     let (model_levels, acmr) = model_levels(&level_records, errors, levels);
     let model = BakedModel {
+        maps: Vec::new(),
+        tiles: Vec::new(),
         record: model_record(mesh, triangles_in, grid, &bounds, levels),
         clusters: (0..count).map(record).collect(),
         levels: level_records,

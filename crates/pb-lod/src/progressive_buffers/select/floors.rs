@@ -1,10 +1,11 @@
-//! Residency floors `m_c` (design section 3): data that arrives fades in, data that leaves fades out first.
+//! Residency floors `m_c` (design section 3): data that arrives fades in, data that leaves fades out first. Geometry
+//! and textures have their own.
 //!
 //! A floor may move freely where no view can tell: below the level that distance alone asks for at every
 //! vertex of the cluster, and in clusters that neither are visible nor have a visible neighbour.
 
 use super::super::switch::Switch;
-use super::tables::Tables;
+use super::tables::{Ladder, Tables};
 use super::walk::{Eyes, Walk};
 use crate::plan::{ChunkId, Frame};
 
@@ -12,15 +13,18 @@ use crate::plan::{ChunkId, Frame};
 const LEVELS_PER_SEC: f32 = 1.0 / 0.3;
 
 pub(super) struct Floors {
+    ladder: Ladder,
     /// `m_c`, levels.
     floors: Vec<f32>,
-    /// Per chunk: handed back in `Plan::released`; not used again before it was resident and not retiring.
+    /// Per chunk of the ladder, `cluster * levels + level`: handed back in `Plan::released`; not used again before it was resident and not retiring.
     given_back: Vec<bool>,
 }
 
 impl Floors {
-    pub fn new(clusters: usize, levels: u32) -> Floors {
-        Floors { floors: vec![(levels - 1) as f32; clusters], given_back: vec![false; clusters * levels as usize] }
+    /// All on their coarsest level.
+    pub fn new(t: &Tables, ladder: Ladder) -> Floors {
+        let floors = (0..t.clusters() as u32).map(|c| t.coarsest(ladder, c) as f32).collect();
+        Floors { ladder, floors, given_back: vec![false; t.clusters() * t.levels as usize] }
     }
 
     pub fn floor(&self, cluster: u32) -> f32 {
@@ -49,7 +53,7 @@ impl Floors {
             let next = match floor == goal.floor && !goal.retiring {
                 true => floor,
                 false => {
-                    let free = free_up_to(t, eyes, switch, walk, cluster);
+                    let free = self.free_up_to(t, eyes, switch, walk, cluster);
                     let next = moved(floor, goal.floor, free, frame.dt_secs);
                     self.release(t, cluster, next.max(free), frame, released);
                     next
@@ -63,17 +67,18 @@ impl Floors {
 
     /// Where the floor of a cluster has to go.
     fn goal(&mut self, t: &Tables, cluster: u32, frame: &Frame) -> Goal {
-        let coarsest = t.levels - 1;
+        let coarsest = t.coarsest(self.ladder, cluster);
         let mut goal = Goal { resident: coarsest as f32, floor: coarsest as f32, retiring: false };
         let mut kept = true; // every chunk so far is resident and stays
         let mut usable = true; // every chunk so far is resident and was not given back
         for level in (0..coarsest).rev() {
-            let chunk = t.chunk(cluster, level).0 as usize;
+            let chunk = t.chunk(self.ladder, cluster, level).0 as usize;
             let (resident, retiring) = (frame.resident[chunk], frame.retiring[chunk]);
-            self.given_back[chunk] &= resident && retiring;
-            usable &= resident && !self.given_back[chunk];
+            let given_back = &mut self.given_back[(cluster * t.levels + level) as usize];
+            *given_back &= resident && retiring;
+            usable &= resident && !*given_back;
             kept &= usable && !retiring;
-            goal.retiring |= resident && retiring && !self.given_back[chunk];
+            goal.retiring |= resident && retiring && !*given_back;
             if usable {
                 goal.resident = level as f32;
             }
@@ -86,13 +91,28 @@ impl Floors {
 
     /// Hands back the retiring chunks of a cluster that nothing below level of detail `lod` needs.
     fn release(&mut self, t: &Tables, cluster: u32, lod: f32, frame: &Frame, released: &mut Vec<ChunkId>) {
-        for level in 0..t.levels - 1 {
-            let chunk = t.chunk(cluster, level);
+        for level in 0..t.coarsest(self.ladder, cluster) {
+            let chunk = t.chunk(self.ladder, cluster, level);
             let c = chunk.0 as usize;
-            let leaves = frame.resident[c] && frame.retiring[c] && !self.given_back[c];
+            let given_back = &mut self.given_back[(cluster * t.levels + level) as usize];
+            let leaves = frame.resident[c] && frame.retiring[c] && !*given_back;
             if leaves && lod >= (level + 1) as f32 {
-                self.given_back[c] = true;
+                *given_back = true;
                 released.push(chunk);
+            }
+        }
+    }
+
+    /// The floor may take any value up to this one without a visible change.
+    fn free_up_to(&self, t: &Tables, eyes: &Eyes, switch: &Switch, walk: &Walk, cluster: u32) -> f32 {
+        let visible = |c: &u32| walk.visible[*c as usize];
+        match self.ladder {
+            _ if !visible(&cluster) && !t.neighbours(cluster).iter().any(visible) => f32::INFINITY,
+            Ladder::Geometry => t.lod(switch, cluster, eyes.reach(t, cluster).0),
+            // A coarser detail than asked for shows in textures only by their floors.
+            Ladder::Texture => {
+                let sharp = Switch { scale: switch.scale.max(1.0), ..*switch };
+                t.texture_lod(&sharp, cluster, eyes.reach(t, cluster).0)
             }
         }
     }
@@ -105,15 +125,6 @@ struct Goal {
     floor: f32,
     /// Some chunk waits to be handed back.
     retiring: bool,
-}
-
-/// The floor may take any value up to this one without a visible change.
-fn free_up_to(t: &Tables, eyes: &Eyes, switch: &Switch, walk: &Walk, cluster: u32) -> f32 {
-    let visible = |c: &u32| walk.visible[*c as usize];
-    if !visible(&cluster) && !t.neighbours(cluster).iter().any(visible) {
-        return f32::INFINITY;
-    }
-    t.lod(switch, cluster, eyes.reach(t, cluster).0)
 }
 
 /// One step of a floor towards its goal; only the part above `free` has to be slow.

@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::super::display::lod_from;
 use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
 use super::super::switch::{Switch, increasing, min_step};
+use super::super::textures::Textures;
 use crate::plan::ChunkId;
 
 /// The archive's tables as selection reads them once; see [`super::super::layout`] for each.
@@ -20,9 +21,25 @@ pub struct SelectTables<'a> {
     pub neighbours: &'a [u32],
     /// The coarse buffer hierarchy; node 0 is the root.
     pub nodes: &'a [NodeRecord],
-    /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget.
+    /// Maps and tiles, where the model has textures.
+    pub textures: Option<Textures<'a>>,
+    /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures
+    /// follow where there are any.
     pub chunk_bytes: &'a [u64],
 }
+
+/// The two sequences of chunks of a cluster, each with its own level of detail
+/// (docs/decisions/007-textures.md).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ladder {
+    /// Vertices and indices: by measured error.
+    Geometry,
+    /// Texture mips: by texel size.
+    Texture,
+}
+
+/// Off the centre of a picture pixels cover smaller angles, so texels have to be smaller than a pixel at its centre.
+const TEXELS_PER_PIXEL: f32 = 1.4;
 
 /// A sphere in world units, relative to the model's origin.
 #[derive(Clone, Copy)]
@@ -40,6 +57,8 @@ pub(super) struct Node {
     pub children: Option<[u32; 2]>,
     /// Largest (increasing) error of the coarsest level below this node, input units.
     pub error: f32,
+    /// Size of the largest texels below this node that are always resident, input units; 0 where no others exist.
+    pub texel: f32,
 }
 
 pub(super) struct Tables {
@@ -53,8 +72,10 @@ pub(super) struct Tables {
     /// `cluster * levels + level`, increasing in level, 0 at level 0.
     errors: Vec<f32>,
     triangles: Vec<u32>,
-    /// Bytes of the chunks `level .. levels - 1` of the cluster.
+    /// Bytes of the chunks `level .. levels - 1` of the cluster, in the order of the chunks.
     finer_bytes: Vec<u64>,
+    /// Per cluster where there are textures: texel size of mip 0, and the mip that the tail begins with.
+    tiles: Vec<(f32, u32)>,
     /// First index of each cluster in the coarse buffer, and the end of the last.
     coarse_first: Vec<u32>,
     /// First neighbour of each cluster, and the end of the last.
@@ -65,7 +86,8 @@ pub(super) struct Tables {
 impl Tables {
     pub fn new(t: &SelectTables) -> Tables {
         let (levels, count) = (t.model.levels as usize, t.clusters.len());
-        assert!(levels >= 1 && t.levels.len() == count * levels && t.chunk_bytes.len() == count * levels);
+        let kinds = if t.textures.is_some() { 2 } else { 1 };
+        assert!(levels >= 1 && t.levels.len() == count * levels && t.chunk_bytes.len() == count * levels * kinds);
         let quantum = t.model.quantum;
         let mut out = Tables {
             origin: DVec3::from_array(t.model.origin),
@@ -76,7 +98,13 @@ impl Tables {
             spheres: t.clusters.iter().map(|c| Sphere { center: c.center, radius: c.radius }).collect(),
             errors: Vec::with_capacity(count * levels),
             triangles: t.levels.iter().map(|l| l.triangles).collect(),
-            finer_bytes: vec![0; count * levels],
+            finer_bytes: vec![0; count * levels * kinds],
+            tiles: t
+                .textures
+                .iter()
+                .flat_map(|x| x.tiles)
+                .map(|tile| (tile.texel, tile.tail(t.model.levels)))
+                .collect(),
             coarse_first: vec![0],
             neighbours_first: vec![0],
             neighbours: Vec::with_capacity(t.neighbours.len()),
@@ -85,14 +113,16 @@ impl Tables {
             let rows = &t.levels[c * levels..][..levels];
             let errors = increasing(rows.iter().map(|l| l.error), min_step(quantum));
             out.errors.extend_from_slice(&errors[..levels]);
-            for i in (0..levels - 1).rev() {
-                out.finer_bytes[c * levels + i] = out.finer_bytes[c * levels + i + 1] + t.chunk_bytes[c * levels + i];
-            }
             out.coarse_first.push(out.coarse_first[c] + rows[levels - 1].triangles * 3);
             let list =
                 cluster.neighbours_first as usize..(cluster.neighbours_first + cluster.neighbours_count) as usize;
             out.neighbours.extend_from_slice(&t.neighbours[list]);
             out.neighbours_first.push(out.neighbours.len() as u32);
+        }
+        for (finer, chunks) in out.finer_bytes.chunks_mut(levels).zip(t.chunk_bytes.chunks(levels)) {
+            for i in (0..levels - 1).rev() {
+                finer[i] = finer[i + 1] + chunks[i];
+            }
         }
         out.nodes = out.reduce(t.nodes);
         out
@@ -109,6 +139,13 @@ impl Tables {
             error: (n.first_cluster..n.first_cluster + n.cluster_count)
                 .map(|c| self.error(c, coarsest))
                 .fold(0.0, f32::max),
+            texel: self
+                .tiles
+                .iter()
+                .skip(n.first_cluster as usize)
+                .take(n.cluster_count as usize)
+                .map(|&(texel, tail)| if tail > 0 { texel * (1u32 << tail) as f32 } else { 0.0 })
+                .fold(0.0, f32::max),
         };
         nodes.iter().map(node).collect()
     }
@@ -118,15 +155,31 @@ impl Tables {
     }
 
     pub fn chunks(&self) -> usize {
-        self.errors.len()
+        self.finer_bytes.len()
+    }
+
+    pub fn has_textures(&self) -> bool {
+        !self.tiles.is_empty()
     }
 
     fn row(&self, cluster: u32, level: u32) -> usize {
         (cluster * self.levels + level) as usize
     }
 
-    pub fn chunk(&self, cluster: u32, level: u32) -> ChunkId {
-        ChunkId(self.row(cluster, level) as u32)
+    pub fn chunk(&self, ladder: Ladder, cluster: u32, level: u32) -> ChunkId {
+        let first = match ladder {
+            Ladder::Geometry => 0,
+            Ladder::Texture => self.clusters() as u32,
+        };
+        ChunkId(self.row(first + cluster, level) as u32)
+    }
+
+    /// The finest level of a ladder that is always resident.
+    pub fn coarsest(&self, ladder: Ladder, cluster: u32) -> u32 {
+        match ladder {
+            Ladder::Geometry => self.levels - 1,
+            Ladder::Texture => self.tiles[cluster as usize].1,
+        }
     }
 
     pub fn sphere(&self, cluster: u32) -> Sphere {
@@ -151,11 +204,15 @@ impl Tables {
         }
     }
 
-    /// Error of what is drawn instead of `level` where its chunk is missing, input units.
-    pub fn error_if_missing(&self, cluster: u32, level: u32) -> f32 {
-        match level + 1 < self.levels {
-            true => self.error(cluster, level + 1),
-            false => (self.sphere(cluster).radius * self.quantum as f32).max(2.0 * self.error(cluster, level)),
+    /// Error of what is drawn instead of `level` where its chunk is missing, input units: for textures the size of the
+    /// texels.
+    pub fn error_if_missing(&self, ladder: Ladder, cluster: u32, level: u32) -> f32 {
+        match (ladder, level + 1 < self.levels) {
+            (Ladder::Texture, _) => self.tiles[cluster as usize].0 * (2u32 << level) as f32,
+            (Ladder::Geometry, true) => self.error(cluster, level + 1),
+            (Ladder::Geometry, false) => {
+                (self.sphere(cluster).radius * self.quantum as f32).max(2.0 * self.error(cluster, level))
+            }
         }
     }
 
@@ -164,8 +221,15 @@ impl Tables {
     }
 
     /// Bytes of the chunks `level ..= L-2` of a cluster.
-    pub fn bytes_above_coarsest(&self, cluster: u32, level: u32) -> u64 {
-        self.finer_bytes[self.row(cluster, level)]
+    pub fn bytes_above_coarsest(&self, ladder: Ladder, cluster: u32, level: u32) -> u64 {
+        self.finer_bytes[self.chunk(ladder, cluster, level).0 as usize]
+    }
+
+    /// Bytes of one chunk in VRAM.
+    #[cfg(test)]
+    pub fn chunk_bytes(&self, chunk: ChunkId) -> u64 {
+        let (at, levels) = (chunk.0 as usize, self.levels as usize);
+        self.finer_bytes[at] - if at % levels == levels - 1 { 0 } else { self.finer_bytes[at + 1] }
     }
 
     /// Index range of a run of clusters in the coarse buffer.
@@ -183,5 +247,33 @@ impl Tables {
     pub fn lod(&self, switch: &Switch, cluster: u32, reach: f32) -> f32 {
         let errors = self.errors(cluster);
         lod_from(errors.len() - 1, |i| switch.distance(errors, i), reach)
+    }
+
+    /// The same for textures: a mip is fine enough where its texels are as small as the pixels, or as the allowed error
+    /// where that is larger. With bands, textures follow the geometry. 0 to the first mip of the tail.
+    pub fn texture_lod(&self, switch: &Switch, cluster: u32, reach: f32) -> f32 {
+        let (texel, tail) = self.tiles[cluster as usize];
+        if switch.bands.is_some() {
+            return self.lod(switch, cluster, reach).min(tail as f32);
+        }
+        let allowed = reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL;
+        (allowed / texel).log2().clamp(0.0, tail as f32)
+    }
+
+    /// The level of detail of either kind.
+    pub fn ladder_lod(&self, ladder: Ladder, switch: &Switch, cluster: u32, reach: f32) -> f32 {
+        match ladder {
+            Ladder::Geometry => self.lod(switch, cluster, reach),
+            Ladder::Texture => self.texture_lod(switch, cluster, reach),
+        }
+    }
+
+    /// Whether all clusters below a node show only always resident mips, seen from this reach or farther.
+    pub fn textures_coarse(&self, switch: &Switch, node: &Node, reach: f32) -> bool {
+        match &switch.bands {
+            _ if node.texel == 0.0 => true,
+            Some(bands) => reach >= bands[self.levels as usize - 1],
+            None => reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL >= node.texel,
+        }
     }
 }

@@ -149,7 +149,7 @@ pub(super) fn walk(t: &Tables, eyes: &Eyes, switch: &Switch, margin: f32) -> Wal
             Some(bands) => bands[coarsest],
             None => node.error * switch.scale,
         };
-        let coarse = reach * margin >= farthest_switch;
+        let coarse = reach * margin >= farthest_switch && t.textures_coarse(switch, node, reach * margin);
         let clusters = node.first..node.first + node.count;
         match node.children {
             _ if coarse && place < Place::Visible => {}
