@@ -19,6 +19,8 @@ pub struct GridTorus {
     pub maps: Vec<MapRecord>,
     pub tiles: Vec<TileRecord>,
     pub chunk_bytes: Vec<u64>,
+    /// Per cluster: texture coordinates of the vertices, used by [`GridTorus::with_textures`].
+    coordinates: Vec<Vec<[u16; 2]>>,
     /// Per cluster: all vertices, and the index buffer of each level.
     pub vertices: Vec<Vec<Vertex>>,
     pub indices: Vec<Vec<Vec<u16>>>,
@@ -48,6 +50,7 @@ impl GridTorus {
             maps: Vec::new(),
             tiles: Vec::new(),
             chunk_bytes: Vec::new(),
+            coordinates: Vec::new(),
             vertices: Vec::new(),
             indices: Vec::new(),
         };
@@ -67,6 +70,9 @@ impl GridTorus {
         let places = (0..self.model.clusters).flat_map(|c| (0..self.model.levels).map(move |i| (c, i)));
         let bytes: Vec<u64> = places.map(|(c, i)| self.textures().chunk_bytes(c, i).into()).collect();
         self.chunk_bytes.extend(bytes);
+        for (vertex, &uv) in self.vertices.iter_mut().flatten().zip(self.coordinates.iter().flatten()) {
+            vertex.color = Vertex::pack_uv(uv);
+        }
         self
     }
 
@@ -94,6 +100,8 @@ impl GridTorus {
                 color: [255; 4],
             }
         };
+        let coordinate = |&(u, v): &(u32, u32)| [u, v].map(|x| (x * 65_535 / width) as u16);
+        self.coordinates.push(order.iter().map(coordinate).collect());
         let vertices: Vec<Vertex> = order.iter().map(vertex).collect();
         let cells = |i: u32| (0..width).step_by(1 << i);
         for i in 0..levels {

@@ -39,7 +39,7 @@ pub enum Promise {
     I4,
     /// A level is its coarser chunks and its own: the chunks form prefixes.
     I5,
-    /// Closed in, closed out; every triangle is a triangle.
+    /// Closed in, closed out; every triangle is a triangle, and none is turned over in its texture coordinates.
     I6,
 }
 
@@ -101,7 +101,10 @@ fn check_bytes(model: &Model) -> Vec<Breach> {
         .into_par_iter()
         .flat_map_iter(|cluster| {
             let chunks = (0..model.levels()).map(move |level| model.chunk_id(cluster, level));
-            chunks.filter_map(|chunk| model.read_chunk(chunk).err()).map(|e| chunk_breach(&e))
+            let geometry = chunks.filter_map(|chunk| model.read_chunk(chunk).err());
+            let levels = if model.textures().is_some() { 0..model.levels() } else { 0..0 };
+            let chunks = levels.map(move |level| model.texture_chunk_id(cluster, level));
+            geometry.chain(chunks.filter_map(|chunk| model.read_texture(chunk).err())).map(|e| chunk_breach(&e))
         })
         .collect();
     if let Err(e) = model.archive().chunks_in_file_order() {

@@ -149,6 +149,12 @@ fn places(model: &Model, cluster: u32, decoded: &Decoded, shared: &Shared, breac
     places
 }
 
+/// Twice the area of a triangle in its tile, units of 1 / 65536 of the side, exact.
+fn uv_area(decoded: &Decoded, t: &[u16]) -> i64 {
+    let [a, b, c] = [0, 1, 2].map(|k| decoded.vertices[t[k] as usize].uv().map(i64::from));
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
 fn check_level(
     model: &Model,
     (cluster, level): (u32, u32),
@@ -167,6 +173,13 @@ fn check_level(
                 promise: Promise::I6,
                 place: format!("cluster {cluster} level {level} triangle {number}"),
                 what: format!("two of its corners {t:?} have one position"),
+            });
+        }
+        if model.textures().is_some() && uv_area(decoded, t) < 0 {
+            breaches.push(Breach {
+                promise: Promise::I6,
+                place: format!("cluster {cluster} level {level} triangle {number}"),
+                what: format!("it is turned over in its texture coordinates, corners {t:?}"),
             });
         }
         corners.iter().for_each(|&c| used[c] = true);

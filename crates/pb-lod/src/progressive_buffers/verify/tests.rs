@@ -3,6 +3,7 @@
 use super::*;
 use crate::progressive_buffers::baked_torus::{archive, baked, open, torus};
 use crate::progressive_buffers::grid_torus::GridTorus;
+use crate::progressive_buffers::layout::Vertex;
 use std::path::Path;
 
 const LEVELS: u32 = 4;
@@ -185,6 +186,31 @@ fn i6_a_triangle_without_area_is_found() {
         t.indices[4][1][1] = t.indices[4][1][0];
     });
     assert_found(&found, "I6: cluster 4 level 1 triangle 0", "have one position");
+}
+
+#[test]
+fn i6_a_triangle_turned_over_in_its_texture_coordinates_is_found_at_every_level() {
+    let mut torus = torus(3, LEVELS).with_textures(6, 1.0);
+    assert!(verify(&open(&baked(&torus)).unwrap()).is_ok());
+    let coarsest = torus.levels[LEVELS as usize - 1].vertices as usize;
+    for v in &mut torus.vertices[0][..coarsest] {
+        let [x, y] = v.uv();
+        v.color = Vertex::pack_uv([y, x]);
+    }
+    let found: Vec<String> =
+        verify(&open(&baked(&torus)).unwrap()).unwrap_err().iter().map(Breach::to_string).collect();
+    assert_found(&found, "I6", "cluster 0 level 0");
+    assert_found(&found, "I6", "cluster 0 level 3");
+    assert_found(&found, "I6", "turned over in its texture coordinates");
+}
+
+#[test]
+fn a_damaged_texture_is_named() {
+    let torus = torus(3, LEVELS).with_textures(6, 1.0);
+    let mut model = baked(&torus);
+    model.chunks[36].bytes.push(0);
+    let found: Vec<String> = verify(&open(&model).unwrap()).unwrap_err().iter().map(Breach::to_string).collect();
+    assert_found(&found, "Bytes", "cluster 0 level 0 (chunk 36)");
 }
 
 #[test]
