@@ -1,6 +1,6 @@
 //! Nearest points of triangles and segments.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// Point of triangle `t` nearest to `p`.
 pub(crate) fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
@@ -82,4 +82,27 @@ pub(crate) fn height_over(p: Vec3, t: [Vec3; 3]) -> Option<f32> {
     let n = (t[1] - t[0]).cross(t[2] - t[0]).try_normalize()?;
     let inside = (0..3).all(|k| (t[(k + 1) % 3] - t[k]).cross(p - t[k]).dot(n) >= 0.0);
     inside.then(|| (p - t[0]).dot(n).abs())
+}
+
+/// The point of triangle `t` in the plane that is nearest to `p`: its barycentric weights and the squared distance, zero
+/// inside. A triangle without area is its edges.
+pub(crate) fn closest_in_uv(p: Vec2, t: [Vec2; 3]) -> ([f32; 3], f32) {
+    let area = (t[1] - t[0]).perp_dot(t[2] - t[0]);
+    let opposite = |k: usize| (t[(k + 1) % 3] - p).perp_dot(t[(k + 2) % 3] - p);
+    let parts = [opposite(0), opposite(1), opposite(2)];
+    if area != 0.0 && parts.iter().all(|x| x * area >= 0.0) {
+        return (parts.map(|x| x / area), 0.0);
+    }
+    let mut best = ([0.0; 3], f32::INFINITY);
+    for k in 0..3 {
+        let (from, along) = (t[k], t[(k + 1) % 3] - t[k]);
+        let length = along.length_squared();
+        let x = if length > 0.0 { ((p - from).dot(along) / length).clamp(0.0, 1.0) } else { 0.0 };
+        let square = (from + along * x).distance_squared(p);
+        if square < best.1 {
+            best = ([0.0; 3], square);
+            (best.0[k], best.0[(k + 1) % 3]) = (1.0 - x, x);
+        }
+    }
+    best
 }

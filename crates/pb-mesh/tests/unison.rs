@@ -66,6 +66,7 @@ fn run(positions: &[[i32; 3]], triangles: &[[u32; 3]], cluster: usize, levels: u
         cluster_of: &cluster_of,
         fans: &fans,
         kinds: &kinds,
+        texture: None,
     };
     let start = std::time::Instant::now();
     let collapses = simplify(&input, levels, ratio, &|_| ());
@@ -212,6 +213,7 @@ fn no_two_clusters_get_the_same_edge() {
         cluster_of: &cluster_of,
         fans: &fans,
         kinds: &kinds,
+        texture: None,
     };
     let collapses = simplify(&input, 2, 1.25, &|_| ());
     assert!(collapses.counts[1] < 5);

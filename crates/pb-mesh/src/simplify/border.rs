@@ -25,6 +25,13 @@ struct Known {
     weights: [f32; 2],
 }
 
+impl Known {
+    /// A vertex that charts hold may come free when triangles next to it go, which its weights do not tell.
+    fn is_outdated(&self, a: &Patch, b: &Patch, v: [u32; 2]) -> bool {
+        self.weights != weights(a, b, v) || self.cost == f32::INFINITY && a.input.charts.is_some()
+    }
+}
+
 /// Where a border vertex would go in both patches, and what that costs.
 #[derive(Clone, Copy)]
 struct Move {
@@ -53,7 +60,7 @@ impl Seam {
         let mut queue = BinaryHeap::new();
         for i in 0..self.vertices.len() {
             let v = self.vertices[i];
-            if a.is_alive(v[0]) && self.known[i].weights != weights(a, b, v) {
+            if a.is_alive(v[0]) && self.known[i].is_outdated(a, b, v) {
                 self.look_at(i, a, b);
             }
             if a.is_alive(v[0]) && self.known[i].cost <= limit {
@@ -96,7 +103,10 @@ impl Seam {
         for m in moves(a, b, v) {
             let cost = match m.cost {
                 // What was collapsed is near the surface if one side is near it.
-                low if low <= due => low.max(a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE),
+                low if low <= due => {
+                    let far = a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE;
+                    low.max(far).max(a.slide(m.to[0])).max(b.slide(m.to[1]))
+                }
                 high => high,
             };
             if cost > due {

@@ -50,6 +50,21 @@ impl CornerLists {
         })
     }
 
+    /// The same with the number of each corner.
+    pub fn numbered_around(&self, v: u32) -> impl Iterator<Item = (usize, Corner)> + '_ {
+        let mut at = self.first[v as usize];
+        std::iter::from_fn(move || {
+            while at != NONE {
+                let (number, corner) = (at as usize, self.corners[at as usize]);
+                at = corner.next;
+                if corner.a != NONE {
+                    return Some((number, corner));
+                }
+            }
+            None
+        })
+    }
+
     /// Living triangles on the edge between `v` and `w`.
     pub fn edge_count(&self, v: u32, w: u32) -> usize {
         self.around(v).filter(|c| c.a == w || c.b == w).count()

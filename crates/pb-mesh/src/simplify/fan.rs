@@ -59,11 +59,17 @@ impl Patch {
             let normal = if length > 0.0 { normal / length } else { Vec3::ZERO };
             self.fan.spokes.push(Spoke { a: c.a, b: c.b, at_a, at_b, normal });
         }
+        if let Some(charts) = &mut self.input.charts {
+            charts.spread(&self.corners, v);
+        }
     }
 
     /// Largest squared distance of `u` from the planes of the fan; infinite when a triangle would turn over as the centre
-    /// moves to `u`.
+    /// moves to `u`, on the surface or in its chart, or a chart would be torn.
     pub(super) fn turn(&self, u: u32) -> f32 {
+        if self.input.charts.as_ref().is_some_and(|c| !c.allow(&self.fan.spokes, u)) {
+            return f32::INFINITY;
+        }
         let d = self.input.positions[u as usize] - self.input.positions[self.fan.center as usize];
         let mut most = 0f32;
         for s in &self.fan.spokes {

@@ -6,16 +6,21 @@
 //! Sander and Mitchell 2005, section 5.4, with one global limit instead of passes per cluster.
 
 mod border;
+mod charts;
 mod corner_lists;
 mod fan;
 mod legal;
 mod patch;
 mod quadric;
+mod slide;
 mod vanish;
+
+pub use charts::UvInput;
 
 use crate::segment::Segmentation;
 use crate::topology::{Fans, Kind, border_pair};
 use border::Seam;
+use charts::Charts;
 use glam::Vec3;
 use patch::{Patch, PatchInput};
 use rayon::prelude::*;
@@ -66,6 +71,8 @@ pub struct UnisonInput<'a> {
     pub fans: &'a Fans,
     /// What each position may do.
     pub kinds: &'a [Kind],
+    /// Texture coordinates, if there are any.
+    pub texture: Option<UvInput<'a>>,
 }
 
 /// The collapses, as one forest over the positions.
@@ -77,6 +84,12 @@ pub struct Collapses {
     pub last_level: Vec<u8>,
     /// Positions alive per level.
     pub counts: Vec<usize>,
+    /// The UV wedge that each UV wedge becomes when its position collapses: one of the same cluster at the parent
+    /// position, and of the same chart as long as triangles use it. Itself for survivors and for wedges that no triangle
+    /// of the input uses; empty without textures.
+    pub wedge_parent: Vec<u32>,
+    /// Last level of each UV wedge: its position's.
+    pub wedge_last_level: Vec<u8>,
 }
 
 impl Collapses {
@@ -86,6 +99,14 @@ impl Collapses {
             v = self.parent[v as usize];
         }
         v
+    }
+
+    /// The UV wedge that stands for `w` at `level`.
+    pub fn wedge_ancestor(&self, mut w: u32, level: u8) -> u32 {
+        while self.wedge_last_level[w as usize] < level && self.wedge_parent[w as usize] != w {
+            w = self.wedge_parent[w as usize];
+        }
+        w
     }
 }
 
@@ -123,7 +144,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         }
         counts.push(alive);
     }
-    collect(&patches, input.positions.len(), levels, counts)
+    collect(&patches, input, levels, counts)
 }
 
 /// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
@@ -327,8 +348,11 @@ fn patch_input(input: &UnisonInput, members: &Members, mean_area: f32, c: u32) -
         shared_start.push(shared.len() as u32);
     }
     let positions: Vec<Vec3> = positions.collect();
+    let local: Vec<[u32; 3]> =
+        triangles.iter().map(|&t| input.triangles[t as usize].map(|v| members.local(c, v))).collect();
     PatchInput {
-        triangles: triangles.iter().map(|&t| input.triangles[t as usize].map(|v| members.local(c, v))).collect(),
+        charts: input.texture.as_ref().map(|uv| Charts::new(uv, c, triangles, &local, &positions)),
+        triangles: local,
         kinds: global.iter().map(|&v| input.kinds[v as usize]).collect(),
         normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
         components: small_components(&global, &input.segmentation.components, &positions, &shared_start),
@@ -401,9 +425,11 @@ fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
     groups.into_iter().map(|g| g.1).collect()
 }
 
-fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Vec<usize>) -> Collapses {
-    let mut parent: Vec<u32> = (0..positions as u32).collect();
-    let mut last_level = vec![(levels - 1) as u8; positions];
+fn collect(patches: &[Mutex<Patch>], input: &UnisonInput, levels: usize, counts: Vec<usize>) -> Collapses {
+    let mut parent: Vec<u32> = (0..input.positions.len() as u32).collect();
+    let mut last_level = vec![(levels - 1) as u8; parent.len()];
+    let position_of = input.texture.as_ref().map_or(&[][..], |t| t.position_of);
+    let mut wedge_parent: Vec<u32> = (0..position_of.len() as u32).collect();
     for p in patches {
         let p = lock(p);
         for (v, &g) in p.input.global.iter().enumerate() {
@@ -412,6 +438,8 @@ fn collect(patches: &[Mutex<Patch>], positions: usize, levels: usize, counts: Ve
                 last_level[g as usize] = p.death[v];
             }
         }
+        p.input.charts.iter().for_each(|c| c.hand_over(&mut wedge_parent));
     }
-    Collapses { parent, last_level, counts }
+    let wedge_last_level = position_of.iter().map(|&v| last_level[v as usize]).collect();
+    Collapses { parent, last_level, counts, wedge_parent, wedge_last_level }
 }

@@ -4,6 +4,7 @@
 //! Mitchell 2005, section 5.4). A patch alone collapses what lies inside the cluster; border vertices are
 //! moved by [`super::border`], which holds both patches.
 
+use super::charts::Charts;
 use super::corner_lists::{CornerLists, NONE};
 use super::fan::Fan;
 use super::quadric::Quadric;
@@ -38,6 +39,8 @@ pub(super) struct PatchInput {
     pub mean_area: f32,
     /// Vertices of small components that may vanish as a whole, with their squared diameter.
     pub components: Vec<(f32, Vec<u32>)>,
+    /// Texture coordinates of textured meshes.
+    pub charts: Option<Charts>,
 }
 
 /// A cluster in the middle of its simplification.
@@ -267,7 +270,10 @@ impl Patch {
         let due = self.best[v as usize].0.max(next);
         let (cost, u) = self.best[v as usize];
         self.spread(v);
-        if cost.max(self.turn(u)) <= due && self.reach(u) <= due && self.keeps_topology(u, |_, _| false) {
+        if cost.max(self.turn(u)) <= due
+            && self.reach(u).max(self.slide(u)) <= due
+            && self.keeps_topology(u, |_, _| false)
+        {
             self.apply(v, u, level);
             return true;
         }
@@ -281,7 +287,7 @@ impl Patch {
             if cost >= later.0 {
                 break;
             }
-            let raised = if cost <= due { cost.max(self.reach(u)) } else { cost };
+            let raised = if cost <= due { cost.max(self.reach(u)).max(self.slide(u)) } else { cost };
             if raised > due {
                 later = if raised < later.0 { (raised, u) } else { later };
             } else if self.keeps_topology(u, |_, _| false) {
@@ -303,7 +309,7 @@ impl Patch {
         &self.input.shared[s[v as usize] as usize..s[v as usize + 1] as usize]
     }
 
-    /// Carries a legal collapse, the one whose [`Patch::reach`] was asked for last, out and updates the costs around it.
+    /// Carries a legal collapse, the one whose [`Patch::reach`] and [`Patch::slide`] were asked for last, out and updates the costs around it.
     pub fn apply(&mut self, v: u32, u: u32, level: u8) {
         if self.watchful {
             self.witness[u as usize] = self.farthest;
@@ -320,6 +326,9 @@ impl Patch {
                 self.input.kinds[x as usize] = Kind::Inner;
                 self.best[x as usize] = (f32::INFINITY, NONE);
             }
+        }
+        if let Some(charts) = &mut self.input.charts {
+            charts.collapse(&self.fan.spokes, &self.corners, v, u);
         }
         self.corners.merge(v, u);
         self.refresh_around(u, v);

@@ -32,6 +32,9 @@ impl Patch {
         self.parent[v as usize] = parent;
         self.death[v as usize] = level;
         self.alive -= 1;
+        if let Some(charts) = &mut self.input.charts {
+            charts.bury(v, parent);
+        }
     }
 
     /// Points left by components that vanished at an earlier level die: nothing draws them any more.

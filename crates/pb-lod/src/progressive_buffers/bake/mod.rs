@@ -178,6 +178,7 @@ impl Clusters {
             cluster_of: &self.cluster_of,
             fans: &self.fans,
             kinds: &self.kinds,
+            texture: None,
         }
     }
 
