@@ -31,3 +31,7 @@ bench-gpu *ARGS:
 # each fuzz target for SECONDS
 fuzz SECONDS="600":
     tools/fuzz-all {{SECONDS}}
+
+# build the xatlas helper of pb-bake --charts xatlas, and copy it to FOLDER if one is given
+xatlas-helper *FOLDER:
+    tools/xatlas-helper/build {{FOLDER}}

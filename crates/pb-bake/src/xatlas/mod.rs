@@ -1,0 +1,20 @@
+//! Charts by xatlas, in a process of its own.
+//!
+//! xatlas is C++ that may crash, answer nonsense or run for ever on a hard mesh. So pb-bake never links it: it starts
+//! the program pb-xatlas (tools/xatlas-helper), gives it one cluster at a time over pipes, waits for a limited time,
+//! and checks the answer as it checks a file. Whatever goes wrong is a [`HelperFault`]; the caller then cuts this
+//! cluster by the built-in method. docs/xatlas-helper.md has the protocol.
+
+mod check;
+mod fault;
+mod find;
+mod pool;
+mod process;
+pub mod wire;
+
+pub use check::{AnswerFault, check};
+pub use fault::HelperFault;
+pub use find::{Found, Helper, PROGRAM};
+pub use pool::{HelperReport, MAX_FIRST_FAULTS, MAX_HANGS, Pool, charts_with_helper};
+pub use process::{PROBE_LIMIT, Process};
+pub use wire::{Charts, Identity, Options, Request};
