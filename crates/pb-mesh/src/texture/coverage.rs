@@ -1,0 +1,212 @@
+//! Which chart owns which texel of a tile, at every mip (docs/decisions/007-textures.md, "No bleeding").
+//!
+//! Bilinear sampling inside a chart touches the texels whose centres are at most one texel away in the maximum norm.
+//! So a texel belongs to the chart that is nearest in that norm, if one is that near; the others are copies of the
+//! nearest such texel. Every mip is asked anew, of the integer corners.
+
+use super::raster::{Grid, double_area};
+use std::collections::HashMap;
+
+/// Smallest side of a tile and of a mip, texels: one compressed block.
+pub const MIN_SIZE: u32 = 4;
+/// Largest side of a tile, texels.
+pub const MAX_SIZE: u32 = 32768;
+/// How far from a chart its texels reach, in texels; a little more than one, as viewers interpolate in floats.
+const REACH: f64 = 1.0 + 1.0 / 64.0;
+/// No chart, no triangle, no texel.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Where the triangles of a cluster lie in its tile.
+#[derive(Clone, Copy, Debug)]
+pub struct TileLayout<'a> {
+    /// Texels per side: a power of two from 4 to 32768.
+    pub size: u32,
+    /// Per triangle, per corner: u and v in units of 1 / 65536 of the tile, v downwards.
+    pub corners: &'a [[[u16; 2]; 3]],
+    /// Per triangle; `u32::MAX`: the triangle has no place in the tile.
+    pub chart_of: &'a [u32],
+    /// Empty, or per triangle: bit k is set where the source image goes on beyond the edge from corner k to corner
+    /// `(k + 1) % 3`, as at a cut through a source chart. Border texels there are samples of what lies beyond; at
+    /// other edges they repeat the chart.
+    pub open_edges: &'a [u8],
+}
+
+/// Who owns the texels of one mip.
+pub(super) struct Level {
+    /// Texels per side.
+    pub size: u32,
+    /// Per texel: a chart, or [`NONE`].
+    pub owner: Vec<u32>,
+    /// Texels without an owner take what the nearest texel with one has: (from, to).
+    pub copies: Vec<(u32, u32)>,
+}
+
+/// A texel of mip 0 whose centre is not in its chart, but near.
+#[derive(Clone, Copy)]
+pub(super) struct BorderTexel {
+    pub texel: u32,
+    pub triangle: u32,
+    /// The edge of the triangle that is near.
+    pub edge: u8,
+}
+
+/// Which chart owns which texel of a tile, for all maps of the tile.
+pub struct Coverage {
+    /// Finest first, down to 4 texels.
+    pub(super) levels: Vec<Level>,
+    /// Per texel of mip 0: the triangle that holds its centre, or [`NONE`].
+    pub(super) triangles: Vec<u32>,
+    /// Ordered by triangle, then texel.
+    pub(super) border: Vec<BorderTexel>,
+}
+
+impl Coverage {
+    /// Rasterizes a layout. Charts should be two texels apart where the tile is 32 wide; nearer ones share.
+    ///
+    /// # Panics
+    /// When the size is no power of two from 4 to 32768, or the lists differ in length.
+    pub fn new(layout: &TileLayout) -> Coverage {
+        assert!(
+            layout.size.is_power_of_two() && (MIN_SIZE..=MAX_SIZE).contains(&layout.size),
+            "tile of {}",
+            layout.size
+        );
+        assert_eq!(layout.corners.len(), layout.chart_of.len(), "a chart per triangle");
+        assert!(layout.open_edges.is_empty() || layout.open_edges.len() == layout.corners.len(), "edges per triangle");
+        let edges = chart_borders(layout);
+        let (finest, triangles, border) = finest_level(layout, &edges);
+        let mut levels = vec![finest];
+        let mut size = layout.size / 2;
+        while size >= MIN_SIZE {
+            levels.push(coarser_level(layout, &edges, size));
+            size /= 2;
+        }
+        Coverage { levels, triangles, border }
+    }
+
+    /// Texels per side of mip 0.
+    pub fn size(&self) -> u32 {
+        self.levels[0].size
+    }
+
+    /// Charts of the texels of a mip, rows from the top; `u32::MAX` more than one texel from every chart.
+    pub fn owners(&self, mip: usize) -> &[u32] {
+        &self.levels[mip].owner
+    }
+}
+
+/// Edge k of a triangle.
+type Edge = (u32, u8);
+
+/// Edges that one triangle of their chart uses, in the order of triangles.
+fn chart_borders(layout: &TileLayout) -> Vec<Edge> {
+    let corners = |(t, k): Edge| {
+        let c = layout.corners[t as usize];
+        (c[usize::from(k)], c[(usize::from(k) + 1) % 3])
+    };
+    let key = |edge: Edge| {
+        let (a, b) = corners(edge);
+        (layout.chart_of[edge.0 as usize], a.min(b), a.max(b))
+    };
+    let placed = (0..layout.corners.len() as u32).filter(|&t| layout.chart_of[t as usize] != NONE);
+    let all: Vec<Edge> = placed.flat_map(|t| (0..3).map(move |k| (t, k))).collect();
+    let mut uses: HashMap<_, u32> = HashMap::with_capacity(all.len());
+    all.iter().for_each(|&e| *uses.entry(key(e)).or_default() += 1);
+    // flat triangles may fold onto their neighbours' edges, so their edges always count
+    all.into_iter().filter(|&e| uses[&key(e)] == 1 || double_area(layout.corners[e.0 as usize]) == 0).collect()
+}
+
+fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<BorderTexel>) {
+    let grid = Grid { size: layout.size };
+    let count = (layout.size * layout.size) as usize;
+    let mut triangles = vec![NONE; count];
+    let mut owner = vec![NONE; count];
+    for_each_inside(layout, grid, |texel, triangle| {
+        if triangles[texel] == NONE {
+            triangles[texel] = triangle;
+            owner[texel] = layout.chart_of[triangle as usize];
+        }
+    });
+    let mut nearest: HashMap<u32, (f32, u32, u32, u8)> = HashMap::new();
+    for_each_near(layout, grid, edges, |texel, distance, (triangle, edge)| {
+        if triangles[texel] == NONE {
+            let here = (distance, layout.chart_of[triangle as usize], triangle, edge);
+            let best = nearest.entry(texel as u32).or_insert(here);
+            if here < *best {
+                *best = here;
+            }
+        }
+    });
+    let mut border: Vec<BorderTexel> =
+        nearest.into_iter().map(|(texel, (_, _, triangle, edge))| BorderTexel { texel, triangle, edge }).collect();
+    border.sort_unstable_by_key(|b| (b.triangle, b.texel));
+    border.iter().for_each(|b| owner[b.texel as usize] = layout.chart_of[b.triangle as usize]);
+    let copies = copies(layout.size, &owner);
+    (Level { size: layout.size, owner, copies }, triangles, border)
+}
+
+fn coarser_level(layout: &TileLayout, edges: &[Edge], size: u32) -> Level {
+    let grid = Grid { size };
+    let count = (size * size) as usize;
+    let mut best = vec![(f32::INFINITY, NONE); count];
+    for_each_inside(layout, grid, |texel, triangle| {
+        if best[texel].0 > 0.0 {
+            best[texel] = (0.0, layout.chart_of[triangle as usize]);
+        }
+    });
+    for_each_near(layout, grid, edges, |texel, distance, (triangle, _)| {
+        let here = (distance, layout.chart_of[triangle as usize]);
+        if best[texel].0 > 0.0 && here < best[texel] {
+            best[texel] = here;
+        }
+    });
+    let owner: Vec<u32> = best.into_iter().map(|(_, chart)| chart).collect();
+    let copies = copies(size, &owner);
+    Level { size, owner, copies }
+}
+
+fn for_each_inside(layout: &TileLayout, grid: Grid, mut hit: impl FnMut(usize, u32)) {
+    for (triangle, corners) in layout.corners.iter().enumerate().filter(|(t, _)| layout.chart_of[*t] != NONE) {
+        grid.inside(*corners, |x, y| hit((y * grid.size + x) as usize, triangle as u32));
+    }
+}
+
+fn for_each_near(layout: &TileLayout, grid: Grid, edges: &[Edge], mut hit: impl FnMut(usize, f32, Edge)) {
+    for &(triangle, k) in edges {
+        let corners = layout.corners[triangle as usize];
+        let (a, b) = (corners[usize::from(k)], corners[(usize::from(k) + 1) % 3]);
+        grid.near_edge(a, b, REACH, |x, y, d| hit((y * grid.size + x) as usize, d, (triangle, k)));
+    }
+}
+
+/// Rings around the owned texels, each texel a copy of the owned one that it was reached from.
+fn copies(size: u32, owner: &[u32]) -> Vec<(u32, u32)> {
+    let mut origin: Vec<u32> =
+        owner.iter().enumerate().map(|(i, &chart)| if chart == NONE { NONE } else { i as u32 }).collect();
+    let mut ring: Vec<u32> = (0..origin.len() as u32).filter(|&i| origin[i as usize] != NONE).collect();
+    let mut copies = Vec::new();
+    while !ring.is_empty() {
+        let mut next = Vec::new();
+        for &texel in &ring {
+            for neighbour in neighbours(size, texel) {
+                if origin[neighbour as usize] == NONE {
+                    origin[neighbour as usize] = origin[texel as usize];
+                    copies.push((origin[texel as usize], neighbour));
+                    next.push(neighbour);
+                }
+            }
+        }
+        ring = next;
+    }
+    copies
+}
+
+/// The up to eight texels around a texel, those that share an edge first.
+pub(super) fn neighbours(size: u32, texel: u32) -> impl Iterator<Item = u32> {
+    const AROUND: [(i64, i64); 8] = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
+    let (x, y, size) = (i64::from(texel % size), i64::from(texel / size), i64::from(size));
+    AROUND.iter().filter_map(move |&(dx, dy)| {
+        let (x, y) = (x + dx, y + dy);
+        ((0..size).contains(&x) && (0..size).contains(&y)).then_some((y * size + x) as u32)
+    })
+}
