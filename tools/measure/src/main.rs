@@ -1,13 +1,17 @@
 //! Independent measurements: nothing here uses the product's crates, so that no mistake can confirm itself.
 
 mod chain;
+mod compare;
 mod distance;
+mod flights;
 mod generate;
-mod images;
 mod levels;
 mod mesh;
+mod pops;
 mod random;
+mod reference;
 mod speed;
+mod textured;
 mod watertight;
 
 use std::path::PathBuf;
@@ -94,8 +98,16 @@ enum Measurement {
         #[arg(long)]
         markdown: bool,
     },
-    /// Largest pixel change between neighbouring PNG frames of two flights, and its ratio.
-    Images { a: PathBuf, b: PathBuf },
+    /// Draw the source itself, with its images at full resolution and without light, from the cameras of a flypath.
+    Reference(reference::Arguments),
+    /// Write a flypath that suits a model: stills from near, close up and far, or a slow flight.
+    Flypath(flights::Arguments),
+    /// FLIP, errors and largest change between pictures, or between frames of two folders; the reference first.
+    Compare(compare::Arguments),
+    /// Changes between neighbouring frames of two flights along one path, the second drawn by the reference.
+    Pops(pops::Arguments),
+    /// Make a textured mesh from a seed.
+    Textured(textured::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -152,15 +164,11 @@ fn run(command: Measurement) -> Result<bool> {
             }
             return Ok(figures["levels"].as_array().is_some_and(|l| l.iter().all(|r| r["bound_holds"] == true)));
         }
-        Measurement::Images { a, b } => {
-            let (a, b) = (images::changes(&a)?, images::changes(&b)?);
-            let largest = |c: &[u8]| c.iter().copied().max().unwrap_or(0);
-            let ratio = f64::from(largest(&a)) / f64::from(largest(&b).max(1));
-            println!(
-                "{}",
-                json!({ "a": a, "b": b, "largest_a": largest(&a), "largest_b": largest(&b), "ratio": ratio })
-            );
-        }
+        Measurement::Reference(arguments) => println!("{:#}", reference::run(&arguments)?),
+        Measurement::Flypath(arguments) => println!("{:#}", flights::run(&arguments)?),
+        Measurement::Compare(arguments) => println!("{:#}", compare::run(&arguments)?),
+        Measurement::Pops(arguments) => println!("{:#}", pops::run(&arguments)?),
+        Measurement::Textured(arguments) => println!("{:#}", textured::run(&arguments)?),
     }
     Ok(true)
 }

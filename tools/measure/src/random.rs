@@ -19,7 +19,8 @@ impl Random {
     }
 }
 
-fn mixed(x: u64) -> u64 {
+/// One number from another, as good as at random.
+pub fn mixed(x: u64) -> u64 {
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
