@@ -20,6 +20,7 @@ Examples:
   pb-bake inspect statue.pb               what is in an archive
   pb-bake verify statue.pb                check every byte and every promise of an archive
   pb-bake export statue.pb s.ply --level 2    one level as a mesh for other programs
+  pb-bake doctor                          what pb-bake finds on this machine
 
 Exit codes: 0 done, 1 the input or the archive is at fault, 2 the command line or the machine is.";
 
@@ -45,6 +46,8 @@ pub enum Command {
     Verify(VerifyArgs),
     /// Write one level of an archive as a PLY, OBJ or GLB mesh
     Export(ExportArgs),
+    /// Show what this program finds on this machine: memory, room, the xatlas helper, formats
+    Doctor(DoctorArgs),
 }
 
 /// Arguments of a bake.
@@ -151,6 +154,17 @@ pub struct ExportArgs {
     /// Print nothing but errors
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// Arguments of `doctor`.
+#[derive(Args)]
+pub struct DoctorArgs {
+    /// The helper of --charts xatlas; else PB_XATLAS names it, else it is beside pb-bake or in PATH
+    #[arg(long, value_name = "FILE")]
+    pub xatlas_helper: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
 }
 
 fn ratio(text: &str) -> Result<f64, String> {

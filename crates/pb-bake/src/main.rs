@@ -4,6 +4,7 @@
 //! machine is. Everything that can refuse the target is asked before the work begins.
 
 mod cli;
+mod doctor;
 mod failure;
 mod inspect;
 mod progress;
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
         Some(Command::Inspect(args)) => inspect::inspect(&args),
         Some(Command::Verify(args)) => inspect::verify(&args),
         Some(Command::Export(args)) => inspect::export(&args),
+        Some(Command::Doctor(args)) => doctor::doctor(&args),
         None => run_bake(&cli.bake),
     };
     match result {

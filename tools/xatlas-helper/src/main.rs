@@ -21,11 +21,13 @@ const MAX_MEMORY_BYTES: u64 = 8 << 30;
 /// Exit code where a request took longer than it was allowed to.
 const TOO_SLOW: i32 = 4;
 
+const NOTICES: &str = include_str!(concat!(env!("OUT_DIR"), "/notices.txt"));
 const HELP: &str = "\
 pb-xatlas cuts meshes into charts with xatlas. pb-bake starts it; there is nothing to do with it by hand.
 
-  pb-xatlas --version    what it is
-  pb-bake doctor         whether pb-bake finds it
+  pb-xatlas --version     what it is
+  pb-xatlas --licences    of xatlas and of what xatlas contains
+  pb-bake doctor          whether pb-bake finds it
 
 pb-bake looks for it beside itself, then in PATH; --xatlas-helper FILE or PB_XATLAS=FILE name another one.
 ";
@@ -37,6 +39,7 @@ fn main() -> ExitCode {
         [] if io::stdin().is_terminal() => eprint!("{HELP}"),
         [] => return serve(),
         ["--version" | "-V"] => println!("{}, protocol {VERSION}, {}", identity.name, identity.xatlas),
+        ["--licences" | "--licenses"] => print!("{NOTICES}"),
         ["--help" | "-h"] => print!("{HELP}"),
         _ => {
             eprint!("pb-xatlas: it takes no arguments\n\n{HELP}");

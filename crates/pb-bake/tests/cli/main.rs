@@ -2,4 +2,6 @@
 
 mod archives;
 mod bake;
+#[cfg(unix)]
+mod doctor;
 mod harness;
