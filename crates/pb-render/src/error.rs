@@ -36,6 +36,15 @@ pub enum RenderError {
         /// The bound asked for, or what the adapter can bind at once.
         bound: u64,
     },
+    /// A tile of the model is larger than the adapter's textures.
+    #[error(
+        "the model has tiles wider than the {limit} texels that this graphics adapter offers; bake it again with a \
+         smaller --tile-size"
+    )]
+    TileTooLarge {
+        /// Largest side, texels.
+        limit: u32,
+    },
     /// A read-back or a wait on the adapter failed.
     #[error("the graphics adapter stopped answering: {0}")]
     Lost(String),

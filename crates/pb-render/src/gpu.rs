@@ -24,6 +24,8 @@ pub struct Gpu {
     pub wireframe: bool,
     /// Fragments know their triangle's index.
     pub primitive_index: bool,
+    /// Block-compressed texels (BC) can be read as they are; else they are decoded before they are uploaded.
+    pub texture_blocks: bool,
 }
 
 impl Gpu {
@@ -51,7 +53,8 @@ impl Gpu {
         }
         let optional = wgpu::Features::INDIRECT_FIRST_INSTANCE
             | wgpu::Features::POLYGON_MODE_LINE
-            | wgpu::Features::PRIMITIVE_INDEX;
+            | wgpu::Features::PRIMITIVE_INDEX
+            | wgpu::Features::TEXTURE_COMPRESSION_BC;
         let features = offered & optional;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("pb-render"),
@@ -70,6 +73,7 @@ impl Gpu {
             multi_draw: features.contains(wgpu::Features::INDIRECT_FIRST_INSTANCE),
             wireframe: features.contains(wgpu::Features::POLYGON_MODE_LINE),
             primitive_index: features.contains(wgpu::Features::PRIMITIVE_INDEX),
+            texture_blocks: features.contains(wgpu::Features::TEXTURE_COMPRESSION_BC),
         })
     }
 

@@ -5,13 +5,18 @@
 
 use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, ModelRecord, Vertex};
-use pb_lod::progressive_buffers::model::FLAG_COLORS;
+use pb_lod::progressive_buffers::model::{FLAG_COLORS, FLAG_CUTOUT};
+use pb_lod::progressive_buffers::textures::Textures;
 use wgpu::BufferUsages;
 
 use crate::error::RenderError;
 use crate::gpu::Gpu;
 use crate::heap::{Heap, HeapFull, Move, UNIT_BYTES};
+use crate::share::{Party, share};
+use crate::squares::PagesFull;
 use crate::tables::{ClusterGpu, DrawArguments, LevelGpu};
+use crate::texture_pool::PageLimits;
+use crate::tiles::{GpuTiles, TexturePlan};
 
 /// Levels per cluster that fit beside the cluster's index in an instance number.
 const LEVEL_SLOTS: u32 = 16;
@@ -27,6 +32,8 @@ pub struct ModelTables<'a> {
     pub levels: &'a [LevelRecord],
     /// Concatenated neighbour lists.
     pub neighbours: &'a [u32],
+    /// Where the model has textures.
+    pub textures: Option<Textures<'a>>,
 }
 
 impl ModelTables<'_> {
@@ -45,8 +52,8 @@ impl ModelTables<'_> {
         self.new_vertices(chunk) + (self.levels[chunk].triangles * 6).div_ceil(UNIT_BYTES as u32)
     }
 
-    /// Bytes of each chunk in VRAM, `cluster * levels + level`. A coarsest chunk lies in the coarse buffer:
-    /// vertices with their cluster's index, and 32-bit indices.
+    /// Bytes of each geometry chunk in VRAM, `cluster * levels + level`. A coarsest chunk lies in the coarse
+    /// buffer: vertices with their cluster's index, and 32-bit indices.
     pub fn chunk_vram_bytes(&self) -> Vec<u64> {
         let coarsest = |chunk: usize| (chunk + 1).is_multiple_of(self.level_count());
         let bytes = |chunk: usize| match coarsest(chunk) {
@@ -75,22 +82,51 @@ pub struct ChunkData<'a> {
     pub indices: &'a [u16],
 }
 
-/// How the bytes of a bound are spent on a model.
+/// What is always there.
+#[derive(Clone, Copy)]
+pub struct Coarse<'a> {
+    /// The coarsest chunk of each cluster.
+    pub chunks: &'a [ChunkData<'a>],
+    /// The last texture chunk of each cluster, mips as the archive has them; empty where there are no textures.
+    pub tails: &'a [&'a [u8]],
+}
+
+/// What an adapter can hold.
 #[derive(Clone, Copy, Debug)]
+pub struct AdapterLimits {
+    /// Largest buffer that a shader can see whole, bytes.
+    pub binding_bytes: u64,
+    /// Of textures.
+    pub pages: PageLimits,
+    /// Compressed texels can be read as they are.
+    pub blocks: bool,
+}
+
+impl AdapterLimits {
+    /// Of an opened adapter.
+    pub fn of(gpu: &Gpu) -> Self {
+        Self { binding_bytes: gpu.largest_storage_bytes(), pages: PageLimits::of(gpu), blocks: gpu.texture_blocks }
+    }
+}
+
+/// How the bytes of a bound are spent on a model.
+#[derive(Clone, Debug)]
 pub struct VramPlan {
-    /// Tables, coarse indices and scratch space, bytes.
+    /// Tables, coarse indices and scratch space, bytes; not those of the textures.
     pub fixed_bytes: u64,
     /// Vertices of the coarse buffer at the start of the heap, units.
     coarse_units: u64,
     /// The whole heap, units.
     heap_units: u64,
     largest_units: u32,
+    /// Where the model has textures.
+    textures: Option<TexturePlan>,
 }
 
 impl VramPlan {
-    /// Splits `bound` bytes; `binding_limit` is the largest buffer that a shader can see.
+    /// Splits `bound` bytes between geometry and textures by what the model has of each.
     /// Fails with the size that would do where the coarsest level does not fit.
-    pub fn new(tables: &ModelTables, bound: u64, binding_limit: u64) -> Result<Self, RenderError> {
+    pub fn new(tables: &ModelTables, bound: u64, limits: &AdapterLimits) -> Result<Self, RenderError> {
         let chunks = tables.levels.len() as u64;
         let clusters = tables.clusters.len() as u64;
         let coarse_units = tables.coarse_sum(|c| tables.new_vertices(c));
@@ -104,15 +140,43 @@ impl VramPlan {
             + coarse_units * 4
             + coarse_index_bytes
             + largest_units as u64 * UNIT_BYTES;
-        let needed = fixed_bytes + coarse_units * UNIT_BYTES;
-        let largest_bound = fixed_bytes + binding_limit.min(u32::MAX as u64 * UNIT_BYTES);
-        if needed > bound.min(largest_bound) {
-            return Err(RenderError::BoundTooSmall { needed, bound: bound.min(largest_bound) });
+        let mut plan = Self { fixed_bytes, coarse_units, heap_units: 0, largest_units, textures: None };
+        if let Some(t) = &tables.textures {
+            let textures = TexturePlan::new(t, bound, &limits.pages, limits.blocks);
+            plan.textures = Some(textures.ok_or(RenderError::TileTooLarge { limit: limits.pages.side })?);
         }
-        let slack = largest_units as u64 / 8 + 17;
-        let whole = coarse_units + tables.finer().map(u64::from).sum::<u64>() + slack;
-        let heap_units = ((bound.min(largest_bound) - fixed_bytes) / UNIT_BYTES).min(whole);
-        Ok(Self { fixed_bytes, coarse_units, heap_units: heap_units.max(1), largest_units })
+        plan.split(tables, bound, limits)?;
+        Ok(plan)
+    }
+
+    /// Gives the heap and each texture pool its part of `bound`.
+    fn split(&mut self, tables: &ModelTables, bound: u64, limits: &AdapterLimits) -> Result<(), RenderError> {
+        let fixed = self.fixed_bytes + self.textures.as_ref().map_or(0, TexturePlan::fixed_bytes);
+        let slack = self.largest_units as u64 / 8 + 17;
+        let whole = self.coarse_units + tables.finer().map(u64::from).sum::<u64>() + slack;
+        let most = limits.binding_bytes.min(u32::MAX as u64 * UNIT_BYTES) / UNIT_BYTES;
+        if self.coarse_units > most {
+            let needed = fixed + self.coarse_units * UNIT_BYTES;
+            return Err(RenderError::BoundTooSmall { needed, bound: fixed + most * UNIT_BYTES });
+        }
+        let bytes = |units: u64| units.min(most) * UNIT_BYTES;
+        let mut parties = self.textures.as_ref().map_or(Vec::new(), |t| t.parties(&limits.pages));
+        let enough = bytes(self.coarse_units + self.largest_units as u64 + slack);
+        parties.push(Party { least: bytes(self.coarse_units), enough, all: bytes(whole), step: UNIT_BYTES });
+        let shares = bound.checked_sub(fixed).and_then(|bytes| share(bytes, &parties)).ok_or_else(|| {
+            let needed = fixed + parties.iter().map(|p| p.least).sum::<u64>();
+            RenderError::BoundTooSmall { needed, bound }
+        })?;
+        self.heap_units = (shares[shares.len() - 1] / UNIT_BYTES).max(1);
+        if let Some(t) = &mut self.textures {
+            t.give(&shares[..shares.len() - 1]);
+        }
+        Ok(())
+    }
+
+    /// Bytes of all memory that the model will hold on the adapter: at most the bound.
+    pub fn bytes(&self) -> u64 {
+        self.fixed_bytes + self.heap_units * UNIT_BYTES + self.textures.as_ref().map_or(0, TexturePlan::bytes)
     }
 }
 
@@ -139,14 +203,19 @@ pub struct GpuModel {
     sizes: Vec<[u32; 2]>,
     /// First index of each cluster in the coarse buffer, and the end of the last.
     coarse_first: Vec<u32>,
+    /// Where the model has textures.
+    pub(crate) tiles: Option<GpuTiles>,
 }
 
 impl GpuModel {
-    /// Makes all buffers and uploads tables and coarse buffer. `coarse` has the coarsest chunk of each cluster.
-    pub fn new(gpu: &Gpu, t: &ModelTables, coarse: &[ChunkData], bound: u64) -> Result<Self, RenderError> {
-        assert_eq!(coarse.len(), t.clusters.len(), "one coarsest chunk per cluster");
+    /// Makes all buffers and textures, and uploads tables and what is always there.
+    pub fn new(gpu: &Gpu, t: &ModelTables, coarse: &Coarse, bound: u64) -> Result<Self, RenderError> {
+        assert_eq!(coarse.chunks.len(), t.clusters.len(), "one coarsest chunk per cluster");
         assert!(t.model.levels <= LEVEL_SLOTS && t.levels.len() == t.clusters.len() * t.level_count());
-        let plan = VramPlan::new(t, bound, gpu.largest_storage_bytes())?;
+        let plan = VramPlan::new(t, bound, &AdapterLimits::of(gpu))?;
+        let tiles = t.textures.as_ref().zip(plan.textures.clone());
+        let cutouts = t.model.flags & FLAG_CUTOUT != 0;
+        let tiles = tiles.map(|(textures, plan)| GpuTiles::new(gpu, textures, plan, coarse.tails, cutouts));
         let buffer = |name: &str, bytes: u64, usage: BufferUsages| {
             gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(name),
@@ -181,9 +250,10 @@ impl GpuModel {
             level_table: t.levels.iter().map(|l| LevelGpu { vertices: l.vertices, base: 0 }).collect(),
             sizes: (0..t.levels.len()).map(|c| [t.new_vertices(c), t.levels[c].triangles * 3]).collect(),
             coarse_first: vec![0],
+            tiles,
         };
         out.upload_tables(gpu, t);
-        out.upload_coarse(gpu, coarse);
+        out.upload_coarse(gpu, coarse.chunks);
         Ok(out)
     }
 
@@ -230,10 +300,37 @@ impl GpuModel {
 
     /// Bytes in use now: tables, coarse buffer, resident chunks. Never more than the bound.
     pub fn vram_bytes(&self) -> u64 {
-        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES
+        let tiles = self.tiles.as_ref().map_or(0, GpuTiles::used_bytes);
+        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES + tiles
     }
 
-    /// Makes a chunk resident; a no-op for the coarsest level, which always is.
+    /// How the bound is spent.
+    pub fn plan(&self) -> &VramPlan {
+        &self.plan
+    }
+
+    /// Budget for texture chunks that are no tails, and what each texture chunk costs of it (bytes, or more where
+    /// the pool of one of its formats is short). Nothing where the model has no textures.
+    pub fn texture_costs(&self) -> (u64, Vec<u64>) {
+        self.tiles.as_ref().map_or((0, Vec::new()), GpuTiles::costs)
+    }
+
+    /// The texture chunk behind a chunk's number, which follow those of the geometry.
+    fn texture_chunk(&self, chunk: ChunkId) -> Option<usize> {
+        (chunk.0 as usize).checked_sub(self.sizes.len())
+    }
+
+    /// Makes a texture chunk resident; `bytes` are its mips as the archive has them. A no-op for tails and for
+    /// chunks without mips. Fails only when resident chunks cost more than the budget of [`Self::texture_costs`].
+    ///
+    /// # Panics
+    /// If the chunk is one of geometry, or the bytes are not as many as the tables say.
+    pub fn upload_texture(&mut self, gpu: &Gpu, chunk: ChunkId, bytes: &[u8]) -> Result<(), PagesFull> {
+        let texture = self.texture_chunk(chunk).expect("texture chunks follow those of geometry");
+        self.tiles.as_mut().expect("the model has textures").upload(gpu, texture, bytes)
+    }
+
+    /// Makes a chunk of geometry resident; a no-op for the coarsest level, which always is.
     /// Fails only when chunks of more than [`Self::chunk_budget_bytes`] are resident.
     pub fn upload(&mut self, gpu: &Gpu, chunk: ChunkId, data: ChunkData) -> Result<(), HeapFull> {
         let slot = chunk.0 as usize;
@@ -258,11 +355,19 @@ impl GpuModel {
 
     /// Takes a chunk out; nothing drawn from now on may need it.
     pub fn free(&mut self, chunk: ChunkId) {
-        self.heap.free(chunk.0 as usize);
+        match (self.texture_chunk(chunk), &mut self.tiles) {
+            (Some(texture), Some(tiles)) => tiles.free(texture),
+            _ => {
+                self.heap.free(chunk.0 as usize);
+            }
+        }
     }
 
     /// True when the chunk may be drawn, as far as it alone goes.
     pub fn is_resident(&self, chunk: ChunkId) -> bool {
+        if let (Some(texture), Some(tiles)) = (self.texture_chunk(chunk), &self.tiles) {
+            return tiles.is_resident(texture);
+        }
         self.is_coarsest(chunk.0 as usize) || self.heap.range(chunk.0 as usize).is_some()
     }
 

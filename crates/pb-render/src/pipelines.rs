@@ -1,12 +1,19 @@
 //! The pipelines of the cluster drawable: two vertex stages, one fragment stage, filled or as lines.
 
+use pb_lod::progressive_buffers::textures::MapKind;
+
 use crate::gpu::Gpu;
 use crate::gpu_model::GpuModel;
 use crate::target::{DEPTH_FORMAT, Samples};
+use crate::tiles::GpuTiles;
 
 /// The display rule: functions and bindings without entry points.
 pub const DISPLAY_WGSL: &str = include_str!("shaders/display.wgsl");
 const CLUSTERS_WGSL: &str = include_str!("shaders/clusters.wgsl");
+const SURFACE_WGSL: &str = include_str!("shaders/surface.wgsl");
+const SURFACE_PLAIN_WGSL: &str = include_str!("shaders/surface_plain.wgsl");
+const TEXTURES_WGSL: &str = include_str!("shaders/textures.wgsl");
+const SURFACE_TEXTURED_WGSL: &str = include_str!("shaders/surface_textured.wgsl");
 const SHADE_WGSL: &str = include_str!("shaders/shade.wgsl");
 const FRAGMENT_PLAIN_WGSL: &str = include_str!("shaders/fragment_plain.wgsl");
 const FRAGMENT_PRIMITIVE_WGSL: &str = include_str!("shaders/fragment_primitive.wgsl");
@@ -23,6 +30,16 @@ pub enum ColorMode {
     Cluster = 2,
     /// Their triangle.
     Triangle = 3,
+    /// Their own colours without any light, exactly as in the texture.
+    Albedo = 4,
+    /// Their normals, after normal mapping: `128 + 127 n` in an 8-bit picture.
+    Normals = 5,
+    /// The mip that is shown, over the texture.
+    Mips = 6,
+    /// How many texels there are per pixel, over the texture: blue too few, green enough, red more than needed.
+    Texels = 7,
+    /// Squares of 8 texels and of an eighth of the tile.
+    Checker = 8,
 }
 
 /// How a frame looks, and debug switches.
@@ -36,11 +53,13 @@ pub struct Style {
     pub show_back_faces: bool,
     /// The geomorph; without it vertices jump from level to level.
     pub morph: bool,
+    /// Most samples along the longer axis of a pixel's footprint in a texture, 1 to 16.
+    pub anisotropy: u32,
 }
 
 impl Default for Style {
     fn default() -> Self {
-        Self { color: ColorMode::Shaded, wireframe: false, show_back_faces: false, morph: true }
+        Self { color: ColorMode::Shaded, wireframe: false, show_back_faces: false, morph: true, anisotropy: 8 }
     }
 }
 
@@ -53,43 +72,64 @@ pub struct PictureFormat {
     pub samples: Samples,
 }
 
+/// Which shader text is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ShaderKind {
+    /// Fragments know their triangle's number.
+    pub primitive_index: bool,
+    /// The model has textures.
+    pub textured: bool,
+}
+
 /// The whole text of the shader module.
-pub fn shader_source(primitive_index: bool) -> String {
-    let (enable, fragment) = match primitive_index {
+pub fn shader_source(kind: ShaderKind) -> String {
+    let (enable, fragment) = match kind.primitive_index {
         true => ("enable primitive_index;\n", FRAGMENT_PRIMITIVE_WGSL),
         false => ("", FRAGMENT_PLAIN_WGSL),
     };
-    [enable, DISPLAY_WGSL, CLUSTERS_WGSL, SHADE_WGSL, fragment].concat()
+    let surface = match kind.textured {
+        true => [TEXTURES_WGSL, SURFACE_TEXTURED_WGSL].concat(),
+        false => SURFACE_PLAIN_WGSL.to_string(),
+    };
+    [enable, DISPLAY_WGSL, CLUSTERS_WGSL, SURFACE_WGSL, &surface, SHADE_WGSL, fragment].concat()
 }
 
 /// `[filled, lines]` of each vertex stage.
 pub(crate) struct Pipelines {
     pub layout: wgpu::BindGroupLayout,
+    /// Of the pages, where the model has textures.
+    texture_layout: Option<wgpu::BindGroupLayout>,
     clusters: [Option<wgpu::RenderPipeline>; 2],
     coarse: [Option<wgpu::RenderPipeline>; 2],
 }
 
 impl Pipelines {
-    pub fn new(gpu: &Gpu, picture: PictureFormat) -> Self {
+    pub fn new(gpu: &Gpu, tiles: Option<&GpuTiles>, picture: PictureFormat) -> Self {
+        let kind = ShaderKind { primitive_index: gpu.primitive_index, textured: tiles.is_some() };
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("clusters"),
-            source: wgpu::ShaderSource::Wgsl(shader_source(gpu.primitive_index).into()),
+            source: wgpu::ShaderSource::Wgsl(shader_source(kind).into()),
         });
-        let layout = bind_group_layout(gpu);
+        let layout = bind_group_layout(gpu, kind);
+        let texture_layout = tiles.map(|_| texture_layout(gpu));
+        let layouts = [Some(&layout), texture_layout.as_ref()];
         let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("clusters"),
-            bind_group_layouts: &[Some(&layout)],
+            bind_group_layouts: if kind.textured { &layouts } else { &layouts[..1] },
             immediate_size: 0,
         });
+        let cutouts = tiles.is_some_and(|t| t.cutouts);
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;
-            wanted.then(|| pipeline(gpu, &pipeline_layout, &module, entry, (picture, mode)))
+            let shader = Shader { layout: &pipeline_layout, module: &module, entry, cutouts };
+            wanted.then(|| pipeline(gpu, &shader, picture, mode))
         };
         let modes = [wgpu::PolygonMode::Fill, wgpu::PolygonMode::Line];
         Self {
             clusters: modes.map(|mode| make("vs_cluster", mode)),
             coarse: modes.map(|mode| make("vs_coarse", mode)),
             layout,
+            texture_layout,
         }
     }
 
@@ -103,7 +143,7 @@ impl Pipelines {
 
     /// Bindings of display.wgsl, in its order.
     pub fn bind(&self, gpu: &Gpu, model: &GpuModel, view: &wgpu::Buffer) -> wgpu::BindGroup {
-        let buffers = [
+        let mut buffers = vec![
             view,
             &model.heap_buffer,
             &model.cluster_buffer,
@@ -113,6 +153,7 @@ impl Pipelines {
             &model.neighbour_buffer,
             &model.coarse_cluster_buffer,
         ];
+        buffers.extend(model.tiles.as_ref().map(|t| &t.table_buffer));
         let entries: Vec<_> = (0..)
             .zip(buffers)
             .map(|(binding, b)| wgpu::BindGroupEntry { binding, resource: b.as_entire_binding() })
@@ -123,6 +164,26 @@ impl Pipelines {
             entries: &entries,
         })
     }
+
+    /// Bindings of textures.wgsl: a sampler, then the pages by kind of map. A map that the model has not got gets
+    /// some other's pages, which nobody reads.
+    pub fn bind_textures(&self, gpu: &Gpu, tiles: &GpuTiles) -> Option<wgpu::BindGroup> {
+        let layout = self.texture_layout.as_ref()?;
+        let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("bilinear"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        let views = MapKind::ALL.map(|kind| tiles.map(kind).map(|(_, view)| view));
+        let some = views.iter().flatten().next()?;
+        let pages = views.iter().map(|v| wgpu::BindingResource::TextureView(v.as_ref().unwrap_or(some)));
+        let resources = [wgpu::BindingResource::Sampler(&sampler)].into_iter().chain(pages);
+        let entries: Vec<_> =
+            (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+        let descriptor = wgpu::BindGroupDescriptor { label: Some("pages"), layout, entries: &entries };
+        Some(gpu.device.create_bind_group(&descriptor))
+    }
 }
 
 /// Lines where they are asked for and there, else filled.
@@ -131,7 +192,7 @@ fn pick(pair: &[Option<wgpu::RenderPipeline>; 2], style: Style) -> &wgpu::Render
     lines.or(pair[0].as_ref()).expect("filled pipelines are always made")
 }
 
-fn bind_group_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
+fn bind_group_layout(gpu: &Gpu, kind: ShaderKind) -> wgpu::BindGroupLayout {
     let entry = |binding: u32| wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE,
@@ -145,23 +206,50 @@ fn bind_group_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
         },
         count: None,
     };
-    let entries: Vec<_> = (0..8).map(entry).collect();
+    let entries: Vec<_> = (0..8 + kind.textured as u32).map(entry).collect();
     gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("model"), entries: &entries })
+}
+
+fn texture_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
+    let pages = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    let entry = |binding: u32| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty: if binding == 0 { sampler } else { pages },
+        count: None,
+    };
+    let entries: Vec<_> = (0..1 + MapKind::ALL.len() as u32).map(entry).collect();
+    gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("pages"), entries: &entries })
+}
+
+/// What a pipeline runs.
+struct Shader<'a> {
+    layout: &'a wgpu::PipelineLayout,
+    module: &'a wgpu::ShaderModule,
+    /// Of the vertex stage.
+    entry: &'a str,
+    /// Fragments may be holes.
+    cutouts: bool,
 }
 
 fn pipeline(
     gpu: &Gpu,
-    layout: &wgpu::PipelineLayout,
-    module: &wgpu::ShaderModule,
-    entry: &str,
-    (picture, polygon_mode): (PictureFormat, wgpu::PolygonMode),
+    shader: &Shader,
+    picture: PictureFormat,
+    polygon_mode: wgpu::PolygonMode,
 ) -> wgpu::RenderPipeline {
+    let constants = [("cutouts", shader.cutouts as u32 as f64)];
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(entry),
-        layout: Some(layout),
+        label: Some(shader.entry),
+        layout: Some(shader.layout),
         vertex: wgpu::VertexState {
-            module,
-            entry_point: Some(entry),
+            module: shader.module,
+            entry_point: Some(shader.entry),
             compilation_options: Default::default(),
             buffers: &[],
         },
@@ -175,9 +263,9 @@ fn pipeline(
         }),
         multisample: wgpu::MultisampleState { count: picture.samples as u32, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
-            module,
+            module: shader.module,
             entry_point: Some("fs_main"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
             targets: &[Some(picture.color.into())],
         }),
         multiview_mask: None,

@@ -5,14 +5,19 @@
 use glam::Vec3;
 use pb_lod::plan::Plan;
 use pb_lod::progressive_buffers::display::GridEye;
+use pb_lod::progressive_buffers::textures::MapKind;
 
 use crate::camera::Camera;
 use crate::error::RenderError;
 use crate::gpu::Gpu;
-use crate::gpu_model::{ChunkData, GpuModel, ModelTables};
+use crate::gpu_model::{Coarse, GpuModel, ModelTables};
 use crate::pipelines::{PictureFormat, Pipelines, Style};
 use crate::tables::{DrawArguments, ViewUniform};
 use crate::target::Surface;
+use crate::tiles::GpuTiles;
+
+/// Most samples along the longer axis of a pixel's footprint.
+const MAX_ANISOTROPY: u32 = 16;
 
 /// Behind everything, sRGB encoded: what a fragment that nothing covers shows.
 pub const BACKGROUND_SRGB: [u8; 3] = [38, 42, 48];
@@ -25,6 +30,8 @@ pub struct Scene<'a> {
     pub camera: &'a Camera,
     /// The same eye on the model's grid.
     pub eye: GridEye,
+    /// Texture residency floors of all clusters (levels); empty where the model has no textures.
+    pub texture_floors: &'a [f32],
     /// Colours and debug switches.
     pub style: Style,
 }
@@ -36,6 +43,8 @@ pub struct Renderer {
     pipelines: Pipelines,
     view_buffer: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
+    texture_group: Option<wgpu::BindGroup>,
+    picture: PictureFormat,
     /// What `distance_buffer` holds.
     distances: Vec<f32>,
     multi_draw: bool,
@@ -46,12 +55,12 @@ impl Renderer {
     pub fn new(
         gpu: &Gpu,
         tables: &ModelTables,
-        coarse: &[ChunkData],
+        coarse: &Coarse,
         vram_bound: u64,
         picture: PictureFormat,
     ) -> Result<Self, RenderError> {
         let model = GpuModel::new(gpu, tables, coarse, vram_bound)?;
-        let pipelines = Pipelines::new(gpu, picture);
+        let pipelines = Pipelines::new(gpu, model.tiles.as_ref(), picture);
         let view_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<ViewUniform>() as u64,
@@ -59,7 +68,17 @@ impl Renderer {
             mapped_at_creation: false,
         });
         let bind_group = pipelines.bind(gpu, &model, &view_buffer);
-        Ok(Self { model, pipelines, view_buffer, bind_group, distances: Vec::new(), multi_draw: gpu.multi_draw })
+        let texture_group = model.tiles.as_ref().and_then(|tiles| pipelines.bind_textures(gpu, tiles));
+        Ok(Self {
+            model,
+            pipelines,
+            view_buffer,
+            bind_group,
+            texture_group,
+            picture,
+            distances: Vec::new(),
+            multi_draw: gpu.multi_draw,
+        })
     }
 
     /// Switches multi-draw off or, where the adapter has it, on. Pictures are the same.
@@ -81,6 +100,9 @@ impl Renderer {
     pub fn draw(&self, gpu: &Gpu, surface: &Surface, scene: &Scene) {
         self.write_view(gpu, surface.canvas.size, scene);
         gpu.queue.write_buffer(&self.model.floor_buffer, 0, bytemuck::cast_slice(&scene.plan.floors));
+        if let Some(tiles) = &self.model.tiles {
+            tiles.write_floors(gpu, scene.texture_floors);
+        }
         let arguments: Vec<DrawArguments> =
             scene.plan.draws.iter().map(|d| self.model.arguments(d.cluster, d.level)).collect();
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
@@ -88,6 +110,9 @@ impl Renderer {
             let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));
             let mut pass = surface.canvas.begin(&mut encoder, surface.color, wgpu::Color { r, g, b, a: 1.0 });
             pass.set_bind_group(0, &self.bind_group, &[]);
+            if let Some(group) = &self.texture_group {
+                pass.set_bind_group(1, group, &[]);
+            }
             self.draw_clusters(gpu, &mut pass, &arguments, scene.style);
             self.draw_coarse(&mut pass, scene);
         }
@@ -137,7 +162,11 @@ impl Renderer {
             show_back_faces: scene.style.show_back_faces as u32,
             morph: if scene.style.morph { 1.0 } else { 0.0 },
             has_colors: self.model.has_colors as u32,
-            reserved: 0,
+            textured: self.model.tiles.is_some() as u32,
+            clusters: self.model.clusters,
+            maps: self.model.tiles.as_ref().map_or(u32::MAX, map_places),
+            anisotropy: scene.style.anisotropy.clamp(1, MAX_ANISOTROPY) as f32,
+            tone_map: (self.picture.color != wgpu::TextureFormat::Rgba16Float) as u32,
         };
         gpu.queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
     }
@@ -146,6 +175,12 @@ impl Renderer {
     pub fn bindings(&self) -> (&wgpu::BindGroupLayout, &wgpu::BindGroup) {
         (&self.pipelines.layout, &self.bind_group)
     }
+}
+
+/// By kind of map eight bits: its place in the model's maps, or 255.
+fn map_places(tiles: &GpuTiles) -> u32 {
+    let place = |kind| tiles.map(kind).map_or(255, |(place, _)| place as u8);
+    u32::from_le_bytes(MapKind::ALL.map(place))
 }
 
 /// The sun stands high, and to the left of somebody who looks along -z with `up` above.

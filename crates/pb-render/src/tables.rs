@@ -18,7 +18,7 @@ pub struct ViewUniform {
     pub levels: u32,
     /// Unit vector to the sun, world space.
     pub sun: [f32; 3],
-    /// 0 shaded, 1 level, 2 cluster, 3 triangle.
+    /// [`ColorMode`](crate::ColorMode) as a number.
     pub color_mode: u32,
     /// 1 paints back faces in magenta.
     pub show_back_faces: u32,
@@ -26,8 +26,16 @@ pub struct ViewUniform {
     pub morph: f32,
     /// 1 where vertices carry colours; else surfaces are grey.
     pub has_colors: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// 1 where vertices carry texture coordinates in place of colours.
+    pub textured: u32,
+    /// Number of clusters.
+    pub clusters: u32,
+    /// By [`MapKind`](pb_lod::progressive_buffers::textures::MapKind) eight bits: its place in the model's maps, or 255 where there is none.
+    pub maps: u32,
+    /// Most samples along the longer axis of a pixel's footprint, at least 1.
+    pub anisotropy: f32,
+    /// 1 where the picture cannot hold light brighter than 1.
+    pub tone_map: u32,
 }
 
 /// `Cluster` in display.wgsl.
@@ -71,7 +79,7 @@ pub struct DrawArguments {
 }
 
 const _: () = {
-    assert!(size_of::<ViewUniform>() == 128);
+    assert!(size_of::<ViewUniform>() == 144);
     assert!(size_of::<ClusterGpu>() == 32);
     assert!(size_of::<LevelGpu>() == 8);
     assert!(size_of::<DrawArguments>() == 20);

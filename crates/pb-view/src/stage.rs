@@ -10,7 +10,9 @@ use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
 use pb_lod::progressive_buffers::switch::Switch;
-use pb_render::{Camera, ChunkData, Gpu, ModelTables, PictureFormat, Renderer, Scene, Style, Surface, grid_eye};
+use pb_render::{
+    Camera, ChunkData, Coarse, Gpu, ModelTables, PictureFormat, Renderer, Scene, Style, Surface, grid_eye,
+};
 use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
 use pb_stream::loader::{LoadResult, Loader};
 use rayon::prelude::*;
@@ -97,6 +99,7 @@ impl Stage {
             clusters: model.clusters(),
             levels: model.level_records(),
             neighbours: model.neighbour_entries(),
+            textures: None,
         };
         let coarsest = model.levels() - 1;
         let coarse: Result<Vec<Chunk>, ModelError> = (0..model.record().clusters)
@@ -105,7 +108,8 @@ impl Stage {
             .collect();
         let coarse = coarse.context("the coarsest level cannot be read, so nothing can be drawn")?;
         let data: Vec<ChunkData> = coarse.iter().map(chunk_data).collect();
-        let renderer = Renderer::new(gpu, &tables, &data, bounds.vram_bytes, picture)?;
+        let coarse = Coarse { chunks: &data, tails: &[] };
+        let renderer = Renderer::new(gpu, &tables, &coarse, bounds.vram_bytes, picture)?;
         let chunk_bytes = tables.chunk_vram_bytes();
         let selector = Selector::new(&SelectTables {
             model: model.record(),
@@ -246,10 +250,6 @@ impl Stage {
         }
     }
 
-    fn is_coarsest(&self, chunk: ChunkId) -> bool {
-        self.model.coarser(chunk).is_none()
-    }
-
     fn mark_resident(&mut self) {
         self.resident.copy_from_slice(self.cache.resident());
         let levels = self.model.levels() as usize;
@@ -275,7 +275,7 @@ impl Stage {
     pub fn draw(&self, gpu: &Gpu, surface: &Surface, moment: &Moment, style: Style) {
         let camera = self.camera(&moment.key);
         let eye = grid_eye(self.model.record(), camera.eye);
-        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, style });
+        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, texture_floors: &[], style });
     }
 
     /// The surface of the last step, for export.

@@ -5,17 +5,20 @@ struct Fragment {
     // Relative to the eye, world units.
     @location(0) @interpolate(perspective, centroid) position: vec3<f32>,
     @location(1) @interpolate(perspective, centroid) normal: vec3<f32>,
-    // sRGB encoded.
+    // sRGB encoded; or u, v in tiles.
     @location(2) @interpolate(perspective, centroid) color: vec4<f32>,
     // cluster * 16 + level
     @location(3) @interpolate(flat) draw: u32,
     // Some vertex of the triangle: tells triangles apart where there is no primitive index.
     @location(4) @interpolate(flat) vertex: u32,
+    // Position and u, v at the pixel's centre, also where it lies outside the triangle: for derivatives.
+    @location(5) @interpolate(perspective, center) center_position: vec3<f32>,
+    @location(6) @interpolate(perspective, center) center_uv: vec2<f32>,
 }
 
 fn fragment_of(shown: Displayed, draw: u32, vertex: u32) -> Fragment {
     let clip = view.clip_from_eye * vec4<f32>(shown.position, 1.0);
-    return Fragment(clip, shown.position, shown.normal, shown.color, draw, vertex);
+    return Fragment(clip, shown.position, shown.normal, shown.color, draw, vertex, shown.position, shown.color.xy);
 }
 
 // Index: local to the cluster. Instance: cluster * 16 + level.

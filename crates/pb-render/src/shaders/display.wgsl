@@ -11,7 +11,7 @@ struct View {
     levels: u32,
     // Unit vector to the sun, world space.
     sun: vec3<f32>,
-    // 0 shaded, 1 level, 2 cluster, 3 triangle.
+    // 0 shaded, 1 level, 2 cluster, 3 triangle, 4 albedo, 5 normals, 6 mips, 7 texels, 8 checker.
     color_mode: u32,
     // 1 paints back faces in pure magenta.
     show_back_faces: u32,
@@ -19,7 +19,16 @@ struct View {
     morph: f32,
     // 1 where vertices carry colours; else surfaces are grey.
     has_colors: u32,
-    reserved: u32,
+    // 1 where vertices carry texture coordinates in place of colours.
+    textured: u32,
+    // Number of clusters.
+    clusters: u32,
+    // By kind of map (base colour, ORM, normal, emissive) eight bits: its index, or 255 where the model has none.
+    maps: u32,
+    // Most samples along the longer axis of a pixel's footprint.
+    anisotropy: f32,
+    // 1 where the picture cannot hold light brighter than 1.
+    tone_map: u32,
 }
 
 struct Cluster {
@@ -59,7 +68,7 @@ struct Displayed {
     position: vec3<f32>,
     // Not normalised.
     normal: vec3<f32>,
-    // sRGB encoded, as stored.
+    // sRGB encoded, as stored; or u, v in tiles.
     color: vec4<f32>,
 }
 
@@ -112,8 +121,16 @@ fn normal_of(vertex: vec4<u32>) -> vec3<f32> {
     return normalize(vec3<f32>(n, z));
 }
 
+// What the fourth word says: a colour, or texture coordinates in 1 / 65536 of the tile.
+fn color_of_vertex(word: u32) -> vec4<f32> {
+    if view.textured != 0u {
+        return vec4<f32>(f32(word & 0xffffu), f32(word >> 16u), 0.0, 0.0) * (1.0 / 65536.0);
+    }
+    return unpack4x8unorm(word);
+}
+
 fn plain(cluster: u32, vertex: vec4<u32>, position: vec3<f32>) -> Displayed {
-    return Displayed(position, normal_of(vertex), unpack4x8unorm(vertex.w));
+    return Displayed(position, normal_of(vertex), color_of_vertex(vertex.w));
 }
 
 // The level at which vertex `v` of `cluster` dies; it is at least `level`.

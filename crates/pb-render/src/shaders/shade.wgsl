@@ -1,8 +1,24 @@
-// Light and colour of a fragment. Needs display.wgsl and clusters.wgsl before it.
+// Light and colour of a fragment. Needs surface.wgsl and what follows it before.
 
-fn srgb_to_linear(c: vec3<f32>) -> vec3<f32> {
-    return select(pow((c + 0.055) / 1.055, vec3<f32>(2.4)), c / 12.92, c <= vec3<f32>(0.04045));
-}
+// Fragments with less alpha are holes.
+override cutouts: bool = false;
+const HOLE_ALPHA = 0.5;
+
+const SHADED = 0u;
+const LEVEL = 1u;
+const CLUSTER = 2u;
+const TRIANGLE = 3u;
+const ALBEDO = 4u;
+const NORMALS = 5u;
+const MIPS = 6u;
+const TEXELS = 7u;
+const CHECKER = 8u;
+
+const SUN = vec3<f32>(0.52, 0.51, 0.49);
+const GROUND = vec3<f32>(0.14, 0.13, 0.12);
+const SKY = vec3<f32>(0.27, 0.28, 0.31);
+// A weak light at the eye.
+const HEAD = 0.19;
 
 // A lively colour for a number; neighbouring numbers look unlike each other. Linear light.
 fn color_of(number: u32) -> vec3<f32> {
@@ -23,6 +39,30 @@ fn color_of_level(level: u32) -> vec3<f32> {
     return palette[level % 6u];
 }
 
+// The palette between whole levels.
+fn color_of_lod(lod: f32) -> vec3<f32> {
+    let level = floor(max(lod, 0.0));
+    return mix(color_of_level(u32(level)), color_of_level(u32(level) + 1u), max(lod, 0.0) - level);
+}
+
+// Texels per pixel along the shorter axis, as log2: blue where there are too few, green at one, red where there are
+// far more than the pixels can show.
+fn color_of_density(density: f32) -> vec3<f32> {
+    let few = mix(vec3(0.1, 0.6, 0.15), vec3(0.05, 0.1, 0.8), clamp(-density / 3.0, 0.0, 1.0));
+    let many = mix(vec3(0.1, 0.6, 0.15), vec3(0.8, 0.08, 0.05), clamp((density - 1.0) / 3.0, 0.0, 1.0));
+    return select(many, few, density < 0.0);
+}
+
+// Squares of 8 texels and of an eighth of the tile, in a hue of u and v; fine ones fade where pixels are larger.
+fn checker(s: Surface) -> vec3<f32> {
+    let fine = floor(s.uv * s.side / 8.0);
+    let coarse = floor(s.uv * 8.0);
+    let fine_sign = select(-1.0, 1.0, (u32(fine.x) + u32(fine.y)) % 2u == 0u) * clamp(3.0 - s.lod, 0.0, 1.0);
+    let coarse_sign = select(-1.0, 1.0, (u32(coarse.x) + u32(coarse.y)) % 2u == 0u);
+    let hue = vec3<f32>(0.25 + 0.6 * s.uv.x, 0.25 + 0.6 * s.uv.y, 0.45);
+    return hue * (0.7 + 0.2 * coarse_sign + 0.1 * fine_sign);
+}
+
 // True where the rasteriser sees a back face and the normal points away by more than `slack` (a cosine). The
 // rasteriser alone is no judge: when it snaps vertices to its subpixel grid it turns slivers over, which would blink,
 // and along a contour the depths of both sides are equal.
@@ -30,29 +70,96 @@ fn from_behind(f: Fragment, front: bool, slack: f32) -> bool {
     return !front && dot(normalize(f.normal), normalize(-f.position)) < -slack;
 }
 
-// Sky above, ground below, a sun and a weak light at the eye; surfaces have two sides.
-fn lit(f: Fragment, front: bool, albedo: vec3<f32>) -> vec4<f32> {
-    let n = normalize(f.normal) * select(1.0, -1.0, from_behind(f, front, 0.0));
+fn sky(direction: vec3<f32>) -> vec3<f32> {
+    return mix(GROUND, SKY, dot(direction, view.sun) * 0.5 + 0.5);
+}
+
+// Sky above, ground below, a sun and a weak light at the eye; matt.
+fn lit_matt(n: vec3<f32>, to_eye: vec3<f32>, albedo: vec3<f32>, occlusion: f32) -> vec3<f32> {
+    let sun = max(dot(n, view.sun), 0.0) * SUN;
+    let head = max(dot(n, to_eye), 0.0) * HEAD;
+    return albedo * (sky(n) * occlusion + sun + head);
+}
+
+// Microfacets with the GGX distribution (Walter et al. 2007) and the height-correlated Smith term as approximated by
+// Hammon 2017; times pi, because lights are given as what a white matt surface returns.
+fn ggx(n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, f0: vec3<f32>, roughness: f32) -> vec3<f32> {
+    let h = normalize(v + l);
+    let nl = max(dot(n, l), 0.0);
+    let nv = max(dot(n, v), 1e-3);
+    let nh = max(dot(n, h), 0.0);
+    let a = roughness * roughness;
+    let d = nh * nh * (a * a - 1.0) + 1.0;
+    let smith = 0.5 / max(mix(2.0 * nl * nv, nl + nv, a), 1e-4);
+    let fresnel = f0 + (1.0 - f0) * pow(1.0 - max(dot(v, h), 0.0), 5.0);
+    return fresnel * (a * a / (d * d)) * smith * nl;
+}
+
+// What a glossy surface returns of an even sky: Karis 2014, "Physically based shading on mobile".
+fn even_sky(f0: vec3<f32>, roughness: f32, nv: f32) -> vec3<f32> {
+    let r = roughness * vec4<f32>(-1.0, -0.0275, -0.572, 0.022) + vec4<f32>(1.0, 0.0425, 1.04, -0.04);
+    let a = min(r.x * r.x, exp2(-9.28 * nv)) * r.x + r.y;
+    return f0 * (-1.04 * a + r.z) + (1.04 * a + r.w);
+}
+
+// Metallic-roughness shading (glTF 2.0, appendix B).
+fn lit_glossy(s: Surface, n: vec3<f32>, to_eye: vec3<f32>) -> vec3<f32> {
+    let roughness = clamp(s.roughness, 0.05, 1.0);
+    let f0 = mix(vec3<f32>(0.04), s.albedo, s.metalness);
+    let matt = lit_matt(n, to_eye, s.albedo * (1.0 - s.metalness), s.occlusion);
+    let mirrored = sky(reflect(-to_eye, n)) * even_sky(f0, roughness, max(dot(n, to_eye), 0.0)) * s.occlusion;
+    let shine = ggx(n, to_eye, view.sun, f0, roughness) * SUN + ggx(n, to_eye, to_eye, f0, roughness) * HEAD;
+    return matt + mirrored + shine;
+}
+
+// Light up to 0.8 as it is; more is bent so that it stays below 1, in its hue.
+fn tone_mapped(light: vec3<f32>) -> vec3<f32> {
+    let most = max(light.r, max(light.g, light.b));
+    if view.tone_map == 0u || most <= 0.8 {
+        return light;
+    }
+    return light * ((0.8 + 0.2 * (1.0 - exp((0.8 - most) / 0.2))) / most);
+}
+
+// The surface in light; surfaces have two sides.
+fn lit(f: Fragment, front: bool, s: Surface) -> vec3<f32> {
+    let n = s.normal * select(1.0, -1.0, from_behind(f, front, 0.0));
     let to_eye = normalize(-f.position);
-    let sky = mix(vec3<f32>(0.14, 0.13, 0.12), vec3<f32>(0.27, 0.28, 0.31), dot(n, view.sun) * 0.5 + 0.5);
-    let sun = max(dot(n, view.sun), 0.0) * vec3<f32>(0.52, 0.51, 0.49);
-    let head = max(dot(n, to_eye), 0.0) * 0.19;
-    return vec4<f32>(albedo * (sky + sun + head), 1.0);
+    if !s.glossy {
+        return lit_matt(n, to_eye, s.albedo, s.occlusion) + s.emissive;
+    }
+    return lit_glossy(s, n, to_eye) + s.emissive;
+}
+
+// The surface as the colour mode shows it: false colours are matt, over the texture's brightness where there is one.
+fn in_false_color(s: Surface, color: vec3<f32>, over_texture: bool) -> Surface {
+    var out = s;
+    let light = dot(s.albedo, vec3<f32>(0.2126, 0.7152, 0.0722));
+    out.albedo = color * select(1.0, 0.4 + light, s.side > 0.0 && over_texture);
+    out.glossy = false;
+    out.emissive = vec3<f32>(0.0);
+    return out;
 }
 
 fn shaded(f: Fragment, front: bool, triangle: u32) -> vec4<f32> {
+    var s = surface_of(f);
+    if cutouts && s.alpha < HOLE_ALPHA {
+        discard;
+    }
     if view.show_back_faces != 0u && from_behind(f, front, 0.25) {
         return vec4<f32>(1.0, 0.0, 1.0, 1.0);
     }
-    var albedo = vec3<f32>(0.58, 0.56, 0.53);
-    if view.has_colors != 0u {
-        albedo = srgb_to_linear(clamp(f.color.rgb, vec3<f32>(0.0), vec3<f32>(1.0)));
-    }
     switch view.color_mode {
-        case 1u: { albedo = color_of_level(f.draw & 15u); }
-        case 2u: { albedo = color_of(f.draw >> 4u); }
-        case 3u: { albedo = color_of(triangle ^ (f.draw * 2654435761u)); }
+        case LEVEL: { s = in_false_color(s, color_of_level(f.draw & 15u), true); }
+        case CLUSTER: { s = in_false_color(s, color_of(f.draw >> 4u), false); }
+        case TRIANGLE: { s = in_false_color(s, color_of(triangle ^ (f.draw * 2654435761u)), false); }
+        case ALBEDO: { return vec4<f32>(s.albedo, 1.0); }
+        case NORMALS: { return vec4<f32>(srgb_to_linear(s.normal * 0.5 + 0.5), 1.0); }
+        case MIPS: { s = in_false_color(s, color_of_lod(s.shown_lod), true); }
+        case TEXELS: { s = in_false_color(s, color_of_density(s.lod - s.finest_lod), true); }
+        case CHECKER: { s = in_false_color(s, checker(s), false); }
         default: {}
     }
-    return lit(f, front, albedo);
+    let light = lit(f, front, s);
+    return vec4<f32>(select(light, tone_mapped(light), s.side > 0.0), 1.0);
 }

@@ -3,6 +3,8 @@
 mod pictures;
 mod random_model;
 mod shaders;
+mod textured_model;
+mod textures;
 mod twin;
 
 use pb_render::{Gpu, RenderError};

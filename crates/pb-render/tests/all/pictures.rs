@@ -3,14 +3,18 @@
 use crate::random_model::{PICTURE, RandomModel};
 use glam::DVec3;
 use pb_lod::plan::{ChunkId, Draw, Plan};
-use pb_render::{BACKGROUND_SRGB, Camera, Gpu, Offscreen, RenderError, Renderer, Scene, Style, grid_eye};
+use pb_render::{BACKGROUND_SRGB, Camera, Coarse, Gpu, Offscreen, RenderError, Renderer, Scene, Style, grid_eye};
 
 /// Vertices stand still: every cluster's floor is at the coarsest level, or all tables say "finest".
 fn picture(gpu: &Gpu, model: &RandomModel, renderer: &Renderer, plan: &Plan, style: Style) -> Vec<u8> {
     let eye = DVec3::new(-10.0, 3.0, 90.0);
     let camera = Camera { eye, target: DVec3::splat(20.0), up: DVec3::Y, fov_deg: 70.0, near: 1e-3 };
     let target = Offscreen::new(gpu, [160, 120], PICTURE.color, PICTURE.samples).unwrap();
-    renderer.draw(gpu, &target.surface(), &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), style });
+    renderer.draw(
+        gpu,
+        &target.surface(),
+        &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), texture_floors: &[], style },
+    );
     target.read(gpu).unwrap()
 }
 
@@ -93,6 +97,7 @@ fn a_bound_below_the_coarsest_level_names_the_size_that_would_do() {
     let Some(gpu) = crate::adapter("too small a bound") else { return };
     let model = RandomModel::new(8, 40, 3);
     let coarse: Vec<_> = (0..40).map(|c| model.chunk(ChunkId(c * 3 + 2))).collect();
+    let coarse = Coarse { chunks: &coarse, tails: &[] };
     let make = |bound| Renderer::new(&gpu, &model.tables(), &coarse, bound, PICTURE).map(|r| r.model.vram_bytes());
     let Err(RenderError::BoundTooSmall { needed, bound: 1000 }) = make(1000) else { panic!("too small") };
     assert_eq!(make(needed).unwrap(), needed);

@@ -6,7 +6,7 @@ use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::display::LodTable;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, MAX_LEVELS, ModelRecord, Vertex};
 use pb_lod::progressive_buffers::model::FLAG_COLORS;
-use pb_render::{ChunkData, Gpu, ModelTables, PictureFormat, Renderer, Samples};
+use pb_render::{ChunkData, Coarse, Gpu, ModelTables, PictureFormat, Renderer, Samples};
 
 /// What the tests draw.
 pub const PICTURE: PictureFormat = PictureFormat { color: wgpu::TextureFormat::Rgba8UnormSrgb, samples: Samples::One };
@@ -88,7 +88,13 @@ impl RandomModel {
     }
 
     pub fn tables(&self) -> ModelTables<'_> {
-        ModelTables { model: &self.model, clusters: &self.clusters, levels: &self.levels, neighbours: &self.neighbours }
+        ModelTables {
+            model: &self.model,
+            clusters: &self.clusters,
+            levels: &self.levels,
+            neighbours: &self.neighbours,
+            textures: None,
+        }
     }
 
     /// `n_i` of a cluster.
@@ -113,6 +119,7 @@ impl RandomModel {
         let coarsest = self.model.levels - 1;
         let coarse: Vec<ChunkData> =
             (0..self.model.clusters).map(|c| self.chunk(ChunkId(c * self.model.levels + coarsest))).collect();
+        let coarse = Coarse { chunks: &coarse, tails: &[] };
         let mut renderer = Renderer::new(gpu, &self.tables(), &coarse, bound, PICTURE).unwrap();
         let levels = self.model.levels as usize;
         renderer.set_distances(gpu, self.tables.iter().flat_map(|t| t.distances[..levels].to_vec()).collect());

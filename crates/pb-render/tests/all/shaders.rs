@@ -2,7 +2,7 @@
 
 use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use pb_render::{ClusterGpu, LevelGpu, ViewUniform, shader_source};
+use pb_render::{ClusterGpu, LevelGpu, ShaderKind, ViewUniform, shader_source};
 use std::mem::offset_of;
 
 fn parsed(source: &str) -> naga::Module {
@@ -14,9 +14,9 @@ fn parsed(source: &str) -> naga::Module {
 }
 
 #[test]
-fn shaders_are_valid_with_and_without_primitive_index() {
-    for primitive_index in [false, true] {
-        let module = parsed(&shader_source(primitive_index));
+fn shaders_are_valid_with_and_without_primitive_index_and_textures() {
+    for (primitive_index, textured) in [(false, false), (true, false), (false, true), (true, true)] {
+        let module = parsed(&shader_source(ShaderKind { primitive_index, textured }));
         let mut entries: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
         entries.sort_unstable();
         assert_eq!(entries, ["fs_main", "vs_cluster", "vs_coarse"]);
@@ -42,7 +42,7 @@ macro_rules! rust_layout {
 
 #[test]
 fn structs_lie_in_memory_as_the_shader_reads_them() {
-    let module = parsed(&shader_source(false));
+    let module = parsed(&shader_source(ShaderKind { primitive_index: false, textured: true }));
     let view = rust_layout!(
         ViewUniform,
         clip_from_eye,
@@ -55,7 +55,11 @@ fn structs_lie_in_memory_as_the_shader_reads_them() {
         show_back_faces,
         morph,
         has_colors,
-        reserved
+        textured,
+        clusters,
+        maps,
+        anisotropy,
+        tone_map
     );
     assert_eq!(wgsl_layout(&module, "View"), view);
     assert_eq!(wgsl_layout(&module, "Level"), rust_layout!(LevelGpu, vertices, base));
