@@ -13,10 +13,10 @@ const AFTER_HELP: &str = "\
 In the window:
   left drag      turn around the model          F  fit the model into the picture
   right drag     move sideways (or middle)      1 2 3 4  colour: shaded, level, cluster, triangle
-  wheel          closer, farther                L  lines instead of surfaces
-  Tab or C       fly: W A S D move, Q E down    [ ]  allowed error up, down
-                 and up, mouse looks around,    Space  pause a flypath
-                 Shift is fast, wheel is speed  Esc  quit
+  wheel          closer, farther                5 6 7 8 9  albedo, normals, mips, texels, checker
+  Tab or C       fly: W A S D move, Q E down    L  lines instead of surfaces
+                 and up, mouse looks around,    [ ]  allowed error up, down
+                 Shift is fast, wheel is speed  Space  pause a flypath;  Esc  quit
 
 Examples:
   pb-view statue.pb
@@ -86,8 +86,16 @@ pub struct Args {
     pub ram: u64,
 
     /// What surfaces are coloured by.
-    #[arg(long, value_enum, default_value_t = Color::Shaded)]
+    #[arg(long, visible_alias = "view", value_enum, default_value_t = Color::Shaded)]
     pub color: Color,
+
+    /// The same as --color albedo: no light, colours exactly as in the texture.
+    #[arg(long, conflicts_with = "color")]
+    pub unlit: bool,
+
+    /// Most samples of a texture along the longer axis of a pixel's footprint: 1 is fast and blurs slanted surfaces.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub anisotropy: u32,
 
     /// Draw triangles as lines.
     #[arg(long)]
@@ -129,6 +137,16 @@ pub enum Color {
     Cluster,
     /// Their triangle.
     Triangle,
+    /// Their own colours without light.
+    Albedo,
+    /// Their normals, after normal mapping.
+    Normals,
+    /// The mip of the texture that is shown, over the texture.
+    Mips,
+    /// Texels per pixel, over the texture: blue too few, green enough, red more than the picture can show.
+    Texels,
+    /// Squares of 8 texels and of an eighth of the tile.
+    Checker,
 }
 
 /// An axis.
@@ -183,12 +201,24 @@ impl Args {
     /// Colours and debug switches.
     pub fn style(&self) -> Style {
         let color = match self.color {
+            _ if self.unlit => ColorMode::Albedo,
             Color::Shaded => ColorMode::Shaded,
             Color::Level => ColorMode::Level,
             Color::Cluster => ColorMode::Cluster,
             Color::Triangle => ColorMode::Triangle,
+            Color::Albedo => ColorMode::Albedo,
+            Color::Normals => ColorMode::Normals,
+            Color::Mips => ColorMode::Mips,
+            Color::Texels => ColorMode::Texels,
+            Color::Checker => ColorMode::Checker,
         };
-        Style { color, wireframe: self.wireframe, show_back_faces: self.debug_backfaces, morph: !self.no_morph }
+        Style {
+            color,
+            wireframe: self.wireframe,
+            show_back_faces: self.debug_backfaces,
+            morph: !self.no_morph,
+            anisotropy: self.anisotropy,
+        }
     }
 }
 
