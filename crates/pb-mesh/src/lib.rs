@@ -2,6 +2,7 @@
 //!
 //! Must never: do I/O, read a clock, keep a thread. Loops are data parallel, and no result depends on their order.
 
+pub mod charts;
 mod closest;
 pub mod corners;
 pub mod deviation;
