@@ -6,9 +6,14 @@
 
 use std::io::{self, Write};
 
-/// What importers produce: records (position, normal, colour) as the file has them, in the file's order.
+/// In [`Soup::material_of`]: a triangle of an input without materials, beside others that have some.
+pub const NO_MATERIAL: u32 = u32::MAX;
+
+/// What importers produce: records (position, normal, colour, texture coordinates) as the file has them, in the file's
+/// order.
 ///
-/// All indices in `triangles` are below `positions.len()`; `normals` and `colors` are empty or as long as `positions`.
+/// All indices in `triangles` are below `positions.len()`; `normals`, `colors` and each of `uv_sets` are empty or as
+/// long as `positions`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Soup {
     /// World space, in the units of the input. Several records may have one position.
@@ -22,7 +27,7 @@ pub struct Soup {
     /// Sets of texture coordinates, each one per position; v runs downwards from the image's top (as in glTF; OBJ
     /// readers turn theirs over). None where no material has an image.
     pub uv_sets: Vec<Vec<[f32; 2]>>,
-    /// Empty, or one per triangle: index into the scene's materials.
+    /// Empty, or one per triangle: index into the scene's materials, or [`NO_MATERIAL`].
     pub material_of: Vec<u32>,
     /// Faces of the input with more than three corners.
     pub polygons_triangulated: u64,
@@ -31,9 +36,11 @@ pub struct Soup {
 }
 
 impl Soup {
-    /// Appends another input of the same scene. Missing normals become `[0, 0, 0]`, missing colours opaque white.
+    /// Appends another input of the same scene. Missing normals become `[0, 0, 0]`, missing colours opaque white,
+    /// missing texture coordinates `[0, 0]`, missing materials [`NO_MATERIAL`].
     ///
-    /// The caller makes sure that both together have at most `u32::MAX` records.
+    /// The caller makes sure that both together have at most `u32::MAX` records, and that both count materials in the
+    /// same list.
     pub fn append(&mut self, other: Soup) {
         let base = u32::try_from(self.positions.len()).expect("a soup has at most u32::MAX records");
         if self.positions.is_empty() && self.triangles.is_empty() {
@@ -45,6 +52,15 @@ impl Soup {
         let (mine, theirs) = (self.positions.len(), other.positions.len());
         append_attribute(&mut self.normals, other.normals, mine, theirs, [0.0; 3]);
         append_attribute(&mut self.colors, other.colors, mine, theirs, [255; 4]);
+        let mut their_sets = other.uv_sets;
+        let sets = self.uv_sets.len().max(their_sets.len());
+        self.uv_sets.resize_with(sets, Vec::new);
+        their_sets.resize_with(sets, Vec::new);
+        for (set, more) in self.uv_sets.iter_mut().zip(their_sets) {
+            append_attribute(set, more, mine, theirs, [0.0; 2]);
+        }
+        let counts = (self.triangles.len(), other.triangles.len());
+        append_attribute(&mut self.material_of, other.material_of, counts.0, counts.1, NO_MATERIAL);
         self.positions.extend(other.positions);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + base)));
         self.polygons_triangulated += other.polygons_triangulated;
@@ -193,6 +209,21 @@ mod tests {
         assert_eq!(scene.colors[2..4], [[255; 4], [1, 2, 3, 4]]);
         assert_eq!(scene.normals[5..7], [[1.0, 0.0, 0.0], [0.0; 3]]);
         assert_eq!((scene.colors.len(), scene.normals.len()), (9, 9));
+        assert!(scene.uv_sets.is_empty() && scene.material_of.is_empty());
+    }
+
+    #[test]
+    fn texture_coordinates_and_materials_of_appended_inputs_stay_with_their_own() {
+        let mut scene = triangle(0.0);
+        let mut second = triangle(1.0);
+        second.uv_sets = vec![vec![[0.25, 0.5]; 3], vec![[0.75, 1.0]; 3]];
+        second.material_of = vec![2];
+        scene.append(second);
+        scene.append(triangle(2.0));
+        assert_eq!(scene.material_of, [NO_MATERIAL, 2, NO_MATERIAL]);
+        assert_eq!(scene.uv_sets.iter().map(Vec::len).collect::<Vec<_>>(), [9, 9]);
+        assert_eq!(scene.uv_sets[1][2..4], [[0.0, 0.0], [0.75, 1.0]]);
+        assert_eq!(scene.uv_sets[0][5..7], [[0.25, 0.5], [0.0, 0.0]]);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! number of threads.
 
 use crate::corners::{Corners, Topology, duplicate_triangles, topology};
-use crate::mesh::{Mesh, Soup};
+use crate::mesh::{Mesh, Soup, Texturing};
 use crate::normals::{NormalOptions, Surface, wedges};
 use crate::split::split_non_manifold;
 use crate::weld::{weld_exact, weld_within};
@@ -14,6 +14,8 @@ use rayon::prelude::*;
 
 /// Coordinates beyond this are taken for damage: squares and products of them would leave the range of numbers.
 pub const MAX_COORDINATE: f64 = 1e30;
+/// Texture coordinates beyond this are taken for damage: an `f32` has no fraction there.
+pub const MAX_UV: f32 = 16_777_216.0;
 /// Most triangles of one mesh: three corner indices each fit into 31 bits.
 pub const MAX_TRIANGLE_COUNT: usize = (1 << 31) / 3;
 /// Meshes with fewer triangles may be meant to look facetted.
@@ -70,6 +72,8 @@ pub struct RepairReport {
     pub normals_made: u64,
     /// Wedges that got a normal because the input's is not a finite number.
     pub normals_repaired: u64,
+    /// Records with a texture coordinate that is no usable number; it became 0.
+    pub uvs_repaired: u64,
     /// Whether all normals were made because those of the input were only those of the facets.
     pub facet_normals_replaced: bool,
     /// Positions added so that every sheet of a non-manifold place has its own.
@@ -128,7 +132,8 @@ pub fn first_bad_position(positions: &[[f64; 3]]) -> Option<usize> {
 /// See [`MeshError`].
 ///
 /// # Panics
-/// When the soup breaks its own rules: an index out of range, or attributes of another length than the positions.
+/// When the soup breaks its own rules: an index out of range, or attributes of another length than the positions, or
+/// texture coordinates without materials.
 pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport), MeshError> {
     check(&soup, options)?;
     let mut report = RepairReport {
@@ -138,12 +143,13 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         unreferenced_dropped: soup.unreferenced_left_out,
         ..RepairReport::default()
     };
-    let Soup { positions, mut normals, colors, triangles: mut records, .. } = soup;
+    let Soup { positions, mut normals, colors, triangles: mut records, uv_sets, mut material_of, .. } = soup;
     if options.input_normals == InputNormals::Ignore {
         normals.clear();
     }
     let stands_for = weld(&positions, options.weld_tolerance);
-    let (positions, mut triangles) = number_positions(positions, &stands_for, &mut records, &mut report);
+    drop_degenerate(&stands_for, &mut records, &mut material_of, &mut report);
+    let (positions, mut triangles) = number_positions(positions, &stands_for, &records, &mut report);
     drop(stands_for);
     if triangles.is_empty() {
         let RepairReport { triangles_in, degenerate_removed: degenerate, .. } = report;
@@ -155,30 +161,28 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         normal_options.crease_angle_deg = normal_options.crease_angle_deg.min(FACET_CREASE_ANGLE_DEG);
         report.facet_normals_replaced = true;
     }
-    if normals.is_empty() && colors.is_empty() {
+    let bare = normals.is_empty() && colors.is_empty();
+    if bare && uv_sets.is_empty() {
         records = Vec::new();
     }
-    let corners = remove_duplicates(positions.len(), &mut triangles, &mut records, &mut report);
+    let mut lists = TriangleLists { triangles: &mut triangles, records: &mut records, material_of: &mut material_of };
+    let corners = remove_duplicates(positions.len(), &mut lists, &mut report);
     report.topology = topology(&triangles, &corners);
     report.zero_area_kept = triangles.par_iter().filter(|t| is_flat(t.map(|v| positions[v as usize]))).count() as u64;
     let surface = Surface {
         positions: &positions,
         triangles: &triangles,
         corners: &corners,
-        records: &records,
+        records: if bare { &[] } else { &records },
         normals: &normals,
         colors: &colors,
     };
     let made = wedges(&surface, &normal_options);
     report.normals_made = made.normals_made;
     report.normals_repaired = made.normals_repaired;
-    let mut mesh = Mesh {
-        wedges: made.wedges,
-        triangles: made.triangles,
-        has_colors: !colors.is_empty(),
-        positions,
-        texturing: None,
-    };
+    let texturing = (!material_of.is_empty()).then(|| texturing(material_of, uv_sets, &records, &mut report));
+    let (wedges, triangles) = (made.wedges, made.triangles);
+    let mut mesh = Mesh { wedges, triangles, has_colors: !colors.is_empty(), positions, texturing };
     if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
         report.positions_split = split_non_manifold(&mut mesh);
     }
@@ -190,6 +194,12 @@ fn check(soup: &Soup, options: &RepairOptions) -> Result<(), MeshError> {
     assert!(count < u32::MAX as usize, "record indices are 32 bits wide");
     assert!(soup.normals.is_empty() || soup.normals.len() == count, "one normal per record");
     assert!(soup.colors.is_empty() || soup.colors.len() == count, "one colour per record");
+    let materials = soup.material_of.len();
+    assert!(
+        materials == 0 && soup.uv_sets.is_empty() || materials == soup.triangles.len(),
+        "one material per triangle"
+    );
+    assert!(soup.uv_sets.iter().all(|set| set.len() == count), "one texture coordinate per record");
     assert!(soup.triangles.par_iter().all(|t| t.iter().all(|&i| (i as usize) < count)), "triangle indices in range");
     if !(options.weld_tolerance >= 0.0 && options.weld_tolerance.is_finite()) {
         return Err(MeshError::BadTolerance { tolerance: options.weld_tolerance });
@@ -208,22 +218,34 @@ fn weld(positions: &[[f64; 3]], tolerance: f64) -> Vec<u32> {
     if tolerance > 0.0 { weld_within(positions, &first, tolerance) } else { first }
 }
 
-/// Numbers the positions that triangles use, in the order of their first record, and drops degenerate triangles.
-/// `records` loses the same triangles; the answer's triangles are position indices.
+/// Removes the triangles in which a position repeats.
+fn drop_degenerate(
+    stands_for: &[u32],
+    records: &mut Vec<[u32; 3]>,
+    material_of: &mut Vec<u32>,
+    report: &mut RepairReport,
+) {
+    let degenerate = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|r| stands_for[r as usize]);
+        a == b || b == c || c == a
+    };
+    let before = records.len();
+    if records.par_iter().any(degenerate) {
+        let mut kept = records.iter().map(|t| !degenerate(t));
+        material_of.retain(|_| kept.next().unwrap_or(false));
+        records.retain(|t| !degenerate(t));
+    }
+    report.degenerate_removed = (before - records.len()) as u64;
+}
+
+/// Numbers the positions that triangles use, in the order of their first record. The answer's triangles are position
+/// indices.
 fn number_positions(
     mut positions: Vec<[f64; 3]>,
     stands_for: &[u32],
-    records: &mut Vec<[u32; 3]>,
+    records: &[[u32; 3]],
     report: &mut RepairReport,
 ) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
-    let standing = |t: &[u32; 3]| t.map(|r| stands_for[r as usize]);
-    let degenerate = |t: &[u32; 3]| t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
-    let before = records.len();
-    if records.par_iter().any(|t| degenerate(&standing(t))) {
-        records.retain(|t| !degenerate(&standing(t)));
-    }
-    report.degenerate_removed = (before - records.len()) as u64;
-
     let mut number = vec![u32::MAX; positions.len()];
     for record in records.as_flattened() {
         number[stands_for[*record as usize] as usize] = 0;
@@ -242,37 +264,58 @@ fn number_positions(
     report.unreferenced_dropped += positions.len() as u64 - welded - u64::from(used);
     positions.truncate(used as usize);
     positions.shrink_to_fit();
-    let triangles = records.par_iter().map(|t| standing(t).map(|r| number[r as usize])).collect();
+    let numbered = |t: &[u32; 3]| t.map(|r| number[stands_for[r as usize] as usize]);
+    let triangles = records.par_iter().map(numbered).collect();
     (positions, triangles)
 }
 
+/// What there is per triangle; lists that are not needed are empty.
+struct TriangleLists<'a> {
+    triangles: &'a mut Vec<[u32; 3]>,
+    records: &'a mut Vec<[u32; 3]>,
+    material_of: &'a mut Vec<u32>,
+}
+
 /// Removes triangles with the positions of an earlier one, and tells the corners of the rest.
-fn remove_duplicates(
-    position_count: usize,
-    triangles: &mut Vec<[u32; 3]>,
-    records: &mut Vec<[u32; 3]>,
-    report: &mut RepairReport,
-) -> Corners {
-    let corners = Corners::new(triangles, position_count);
-    let duplicates = duplicate_triangles(triangles, &corners);
+fn remove_duplicates(position_count: usize, lists: &mut TriangleLists, report: &mut RepairReport) -> Corners {
+    let corners = Corners::new(lists.triangles, position_count);
+    let duplicates = duplicate_triangles(lists.triangles, &corners);
     report.duplicates_removed = duplicates.len() as u64;
     if duplicates.is_empty() {
         return corners;
     }
-    let without = |list: &mut Vec<[u32; 3]>| {
-        let mut next = duplicates.iter().peekable();
-        let mut index = 0;
-        list.retain(|_| {
-            let drop = next.next_if(|&&d| d == index).is_some();
-            index += 1;
-            !drop
-        });
-    };
-    without(triangles);
-    if !records.is_empty() {
-        without(records);
+    remove_at(lists.triangles, &duplicates);
+    remove_at(lists.records, &duplicates);
+    remove_at(lists.material_of, &duplicates);
+    Corners::new(lists.triangles, position_count)
+}
+
+/// Removes the items at some indices, which ascend.
+fn remove_at<T>(list: &mut Vec<T>, indices: &[u32]) {
+    let mut next = indices.iter().peekable();
+    let mut index = 0;
+    list.retain(|_| {
+        let drop = next.next_if(|&&d| d == index).is_some();
+        index += 1;
+        !drop
+    });
+}
+
+/// Texture coordinates per corner, in the order of the triangles that are left.
+fn texturing(
+    material_of: Vec<u32>,
+    uv_sets: Vec<Vec<[f32; 2]>>,
+    records: &[[u32; 3]],
+    report: &mut RepairReport,
+) -> Texturing {
+    let usable = |x: f32| x.abs() <= MAX_UV;
+    let mut sets = uv_sets;
+    for uv in sets.iter_mut().flatten().filter(|uv| !uv.iter().all(|&x| usable(x))) {
+        *uv = uv.map(|x| if usable(x) { x } else { 0.0 });
+        report.uvs_repaired += 1;
     }
-    Corners::new(triangles, position_count)
+    let corners = |set: Vec<[f32; 2]>| records.par_iter().map(|t| t.map(|r| set[r as usize])).collect();
+    Texturing { material_of, corner_uvs: sets.into_iter().map(corners).collect() }
 }
 
 /// Whether nearly all normals of a large mesh are only those of the facets: they say nothing that the positions do

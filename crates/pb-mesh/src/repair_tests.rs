@@ -109,6 +109,74 @@ fn colours_stay_with_their_records() {
     assert_eq!(colors, expected);
 }
 
+/// A tetrahedron in which every corner of every triangle has its own texture coordinate, and every triangle its own
+/// material: `(triangle, corner)` and `10 + triangle`.
+fn textured() -> Soup {
+    let mut soup = exploded(&tetrahedron());
+    soup.uv_sets = vec![(0..12).map(|i| [(i / 3) as f32, (i % 3) as f32]).collect()];
+    soup.material_of = vec![10, 11, 12, 13];
+    soup
+}
+
+#[test]
+fn texture_coordinates_and_materials_follow_their_triangles() {
+    let mut soup = textured();
+    // A degenerate triangle in front, a duplicate of the second in the middle.
+    soup.triangles.insert(0, [0, 0, 1]);
+    soup.material_of.insert(0, 99);
+    soup.triangles.insert(3, [4, 3, 5]);
+    soup.material_of.insert(3, 98);
+    let (mesh, report) = repaired(soup);
+    assert_eq!((report.degenerate_removed, report.duplicates_removed), (1, 1));
+    let texturing = mesh.texturing.unwrap();
+    assert_eq!(texturing.material_of, [10, 11, 12, 13]);
+    let expected: Vec<_> = (0..4).map(|t| [0, 1, 2].map(|k| [t as f32, k as f32])).collect();
+    assert_eq!(texturing.corner_uvs, [expected]);
+    assert_eq!(mesh.wedges.len(), 4, "texture coordinates make no wedges");
+}
+
+#[test]
+fn splitting_sheets_moves_no_texture_coordinate() {
+    // Three triangles around the edge 0-1: one of them gets positions of its own.
+    let soup = Soup {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
+        triangles: vec![[0, 1, 2], [1, 0, 3], [0, 1, 4]],
+        uv_sets: vec![(0..5).map(|i| [i as f32, 0.5]).collect()],
+        material_of: vec![7, 8, 9],
+        ..Soup::default()
+    };
+    let places = soup.positions.clone();
+    let (mesh, report) = repaired(soup);
+    assert!(report.positions_split > 0);
+    let texturing = mesh.texturing.as_ref().unwrap();
+    assert_eq!(texturing.material_of, [7, 8, 9]);
+    for t in 0..3 {
+        for (uv, v) in texturing.corner_uvs[0][t].iter().zip(mesh.corner_positions(t)) {
+            assert_eq!(places[uv[0] as usize], mesh.positions[v as usize]);
+        }
+    }
+}
+
+#[test]
+fn unusable_texture_coordinates_become_zero_and_are_counted() {
+    let mut soup = textured();
+    soup.uv_sets[0][1] = [f32::NAN, 0.5];
+    soup.uv_sets[0][2] = [0.5, f32::INFINITY];
+    soup.uv_sets[0][3] = [-1e9, 4.0];
+    let (mesh, report) = repaired(soup);
+    let uvs = &mesh.texturing.unwrap().corner_uvs[0];
+    assert_eq!(report.uvs_repaired, 3);
+    assert_eq!((uvs[0], uvs[1][0]), ([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0]], [0.0, 4.0]));
+}
+
+#[test]
+fn materials_without_texture_coordinates_are_kept() {
+    let soup = Soup { material_of: vec![0, 1, 0, 1], ..tetrahedron() };
+    let texturing = repaired(soup).0.texturing.unwrap();
+    assert_eq!((texturing.material_of, texturing.corner_uvs.len()), (vec![0, 1, 0, 1], 0));
+    assert_eq!(repaired(tetrahedron()).0.texturing, None);
+}
+
 #[test]
 fn tolerance_closes_small_gaps() {
     let mut soup = exploded(&tetrahedron());
