@@ -17,11 +17,8 @@ pub use error::{ImportError, Refusal};
 use error::{damaged, refused};
 use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
-use source::Source;
-use std::cell::Cell;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+pub(crate) use source::Source;
 use std::path::{Path, PathBuf};
-use std::sync::Once;
 
 /// Most different warnings that are kept per input.
 const MAX_WARNING_COUNT: usize = 20;
@@ -218,24 +215,8 @@ impl Warnings {
     }
 }
 
-thread_local! {
-    /// Whether a panic on this thread is expected and must not print anything.
-    static QUIET: Cell<bool> = const { Cell::new(false) };
-}
-
 /// Runs a parser of somebody else; a panic in it becomes an error that names the file.
 fn guarded<T>(name: &str, parse: impl FnOnce() -> T) -> Result<T, ImportError> {
-    static HOOK: Once = Once::new();
-    HOOK.call_once(|| {
-        let usual = std::panic::take_hook();
-        std::panic::set_hook(Box::new(move |info| {
-            if !QUIET.get() {
-                usual(info);
-            }
-        }));
-    });
-    let before = QUIET.replace(true);
-    let result = catch_unwind(AssertUnwindSafe(parse));
-    QUIET.set(before);
-    result.map_err(|_| damaged(name, "its content is so damaged that the parser gave up"))
+    let damage = || damaged(name, "its content is so damaged that the parser gave up");
+    crate::guard::guarded(parse).ok_or_else(damage)
 }

@@ -38,14 +38,14 @@ const OTHER_KINDS: &[(&[u8], &str, &str)] = &[
 const SNIFFED_BYTES: usize = 4096;
 
 /// A file's bytes, mapped where there are any.
-pub(super) struct Source {
+pub(crate) struct Source {
     map: Option<Mmap>,
 }
 
 impl Source {
     /// Maps a regular file.
     #[allow(unsafe_code)]
-    pub(super) fn open(path: &Path) -> Result<Source, ImportError> {
+    pub(crate) fn open(path: &Path) -> Result<Source, ImportError> {
         let name = path.display().to_string();
         let io = |source| ImportError::Io { path: name.clone(), source };
         let metadata = std::fs::metadata(path).map_err(io)?;
@@ -67,7 +67,7 @@ impl Source {
         Ok(Source { map: Some(map) })
     }
 
-    pub(super) fn bytes(&self) -> &[u8] {
+    pub(crate) fn bytes(&self) -> &[u8] {
         self.map.as_deref().unwrap_or(&[])
     }
 }
