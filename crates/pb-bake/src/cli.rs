@@ -1,16 +1,18 @@
 //! The command line.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use pb_bake::images::DecodeOptions;
+use pb_bake::import::ImportOptions;
 use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES};
 use pb_mesh::normals::{NormalOptions, NormalWeight};
 use pb_mesh::repair::RepairOptions;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const ABOUT: &str = "Turns triangle meshes into an archive that pb-view streams and draws at any distance";
 const LONG_ABOUT: &str = "\
 Turns triangle meshes into one archive that pb-view streams and draws at any distance, without cracks or pops.
 
-Several inputs make one scene. OBJ (with MTL colours), PLY, STL, glTF and GLB are read; the mesh is repaired where \
+Several inputs make one scene. OBJ (with MTL materials), PLY, STL, glTF and GLB are read; the mesh is repaired where \
 that is safe, cut into clusters, simplified into levels of detail, and packed. The archive appears under its name only \
 when it is complete.";
 const EXAMPLES: &str = "\
@@ -71,6 +73,15 @@ pub struct BakeArgs {
     /// Threads to use; all cores unless given. The result is the same whatever their number
     #[arg(long, value_name = "N", value_parser = threads)]
     pub threads: Option<usize>,
+    /// Base colour image for the inputs that have texture coordinates but name no image
+    #[arg(long, value_name = "FILE")]
+    pub texture: Option<PathBuf>,
+    /// Exit with 1, and write nothing, where an image is missing or broken; else a checker stands in its place
+    #[arg(long)]
+    pub strict: bool,
+    /// Folder for temporary files, which large images need; that of the archive unless given
+    #[arg(long, value_name = "DIR")]
+    pub temp_dir: Option<PathBuf>,
     /// Replace an existing file even if it is not an archive
     #[arg(long)]
     pub force: bool,
@@ -109,6 +120,18 @@ impl BakeArgs {
         };
         let normals = NormalOptions { weight, crease_angle_deg: self.crease_angle };
         RepairOptions { weld_tolerance: self.weld_tolerance, normals, ..RepairOptions::default() }
+    }
+
+    /// For [`pb_bake::import::load`].
+    pub fn import_options(&self) -> ImportOptions {
+        ImportOptions { texture: self.texture.clone(), ..ImportOptions::default() }
+    }
+
+    /// For [`pb_bake::images::decode_all`].
+    pub fn decode_options(&self) -> DecodeOptions {
+        let beside = self.output.as_deref().and_then(Path::parent).filter(|p| !p.as_os_str().is_empty());
+        let temp_dir = self.temp_dir.as_deref().or(beside).unwrap_or(Path::new("."));
+        DecodeOptions { temp_dir: temp_dir.to_owned(), ..DecodeOptions::default() }
     }
 
     /// For [`pb_lod::progressive_buffers::bake::bake`].

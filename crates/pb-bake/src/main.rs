@@ -9,18 +9,18 @@ mod failure;
 mod inspect;
 mod progress;
 mod report;
+mod scene;
 
 use clap::Parser;
 use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
 use pb_archive::{Overwrite, Writer};
-use pb_bake::import::{self, ImportOptions};
 use pb_lod::progressive_buffers::bake::{BakeError, Stage, bake};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
-use pb_mesh::repair::{MeshError, repair};
 use progress::{Mode, Progress};
 use report::BakeSummary;
+use scene::Scene;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -52,17 +52,7 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     let writer = Writer::create(output, SCHEME, overwrite).map_err(blame_machine)?;
 
     let progress = Progress::new(Mode::of(args.quiet));
-    progress.stage("read");
-    let read = |p: import::ImportProgress| progress.share(p.inputs_done as f32 / p.input_count as f32);
-    let import = import::load(&args.inputs, &ImportOptions::default(), &read).map_err(blame_input)?;
-    for (input, warning) in import.inputs.iter().flat_map(|i| i.warnings.iter().map(move |w| (i, w))) {
-        progress.note(&format!("warning: {}: {warning}", input.path.display()));
-    }
-    progress.stage("repair");
-    let (mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
-        MeshError::BadTolerance { .. } => blame_machine(e),
-        e => blame_input(e),
-    })?;
+    let Scene { mesh, materials, images, inputs, repairs, textures } = scene::load(args, &progress)?;
     let show = |stage, share| {
         progress.stage(stage_name(stage));
         progress.share(share);
@@ -71,12 +61,12 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
         BakeError::TooLarge(_) => blame_input(e),
         e => blame_machine(e),
     })?;
-    drop(mesh);
+    drop((mesh, materials, images));
     progress.stage("write");
     let bytes = write_model(writer, &model).map_err(blame_machine)?;
 
     let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish());
-    let summary = summary.with_input(&import.inputs, &repairs);
+    let summary = summary.with_input(&inputs, &repairs, textures);
     match (args.json, args.quiet) {
         (true, _) => report::print_json(&summary),
         (false, true) => Ok(()),

@@ -2,6 +2,7 @@
 
 use crate::failure::{Failure, blame_machine};
 use crate::progress::StageTime;
+use crate::scene::TextureSummary;
 use pb_archive::FORMAT_VERSION;
 use pb_bake::import::InputReport;
 use pb_lod::progressive_buffers::bake::BakeReport;
@@ -77,6 +78,7 @@ struct Repairs {
     zero_area_kept: u64,
     normals_made: u64,
     normals_repaired: u64,
+    uvs_repaired: u64,
     boundary_edges: u64,
     nonmanifold_edges: u64,
     nonmanifold_vertices: u64,
@@ -96,6 +98,7 @@ impl Repairs {
             (self.zero_area_kept, "triangles without area kept"),
             (self.normals_made, "normals made"),
             (self.normals_repaired, "normals repaired"),
+            (self.uvs_repaired, "texture coordinates repaired"),
             (self.boundary_edges, "open edges"),
             (self.nonmanifold_edges, "non-manifold edges"),
             (self.nonmanifold_vertices, "non-manifold vertices"),
@@ -119,6 +122,7 @@ pub struct BakeSummary {
     levels: Vec<LevelSummary>,
     repairs: Repairs,
     inputs: Vec<InputSummary>,
+    textures: Option<TextureSummary>,
     stages: Vec<StageTime>,
     seconds: f64,
     peak_memory_bytes: Option<u64>,
@@ -141,6 +145,7 @@ impl BakeSummary {
             levels: levels.map(|(i, record)| LevelSummary::new(i, record, acmr(i), stored(i))).collect(),
             repairs: Repairs { nonmanifold_positions_locked: baked.non_manifold_positions, ..Repairs::default() },
             inputs: Vec::new(),
+            textures: None,
             seconds: stages.iter().map(|s| s.seconds).sum(),
             stages,
             peak_memory_bytes: peak_memory_bytes(),
@@ -148,7 +153,12 @@ impl BakeSummary {
     }
 
     /// Adds what came before the bake.
-    pub fn with_input(mut self, inputs: &[InputReport], repairs: &RepairReport) -> Self {
+    pub fn with_input(
+        mut self,
+        inputs: &[InputReport],
+        repairs: &RepairReport,
+        textures: Option<TextureSummary>,
+    ) -> Self {
         let input = |i: &InputReport| InputSummary {
             path: i.path.display().to_string(),
             bytes: i.bytes,
@@ -157,6 +167,7 @@ impl BakeSummary {
             warnings: i.warnings.clone(),
         };
         self.inputs = inputs.iter().map(input).collect();
+        self.textures = textures;
         self.repairs = Repairs {
             polygons_triangulated: repairs.polygons_triangulated,
             positions_welded: repairs.positions_welded,
@@ -166,6 +177,7 @@ impl BakeSummary {
             zero_area_kept: repairs.zero_area_kept,
             normals_made: repairs.normals_made,
             normals_repaired: repairs.normals_repaired,
+            uvs_repaired: repairs.uvs_repaired,
             boundary_edges: repairs.topology.boundary_edges,
             nonmanifold_edges: repairs.topology.nonmanifold_edges,
             nonmanifold_vertices: repairs.topology.nonmanifold_vertices,
@@ -181,6 +193,9 @@ impl BakeSummary {
         let stages: Vec<String> = self.stages.iter().map(|s| format!("{} {:.2} s", s.name, s.seconds)).collect();
         let rate = self.triangles_in as f64 / self.seconds.max(1e-9) / 1e6;
         let _ = writeln!(text, "repairs: {}", self.repairs.text());
+        if let Some(textures) = &self.textures {
+            let _ = writeln!(text, "{}", textures.text());
+        }
         let _ = writeln!(text, "time: {:.2} s ({rate:.2} M triangles/s): {}", self.seconds, stages.join(", "));
         if let Some(bytes) = self.peak_memory_bytes {
             let _ = writeln!(text, "peak memory: {} MiB", bytes >> 20);

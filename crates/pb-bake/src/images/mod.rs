@@ -28,7 +28,7 @@ pub struct ImageSource {
 }
 
 /// Where the bytes of an image are.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum ImageContent {
     /// A file of its own.
     File(PathBuf),

@@ -2,19 +2,24 @@
 //!
 //! Every reader takes bytes that may be hostile: counts are checked against the bytes that are there before anything
 //! is allocated, indices before anything is read, and a panic inside a parser of somebody else becomes an error that
-//! names the file. No reader repairs a mesh ([`pb_mesh::repair`]) or reads textures.
+//! names the file. No reader repairs a mesh ([`pb_mesh::repair`]) or decodes an image ([`crate::images`]).
 
 mod error;
 mod gltf;
+mod mtl;
 mod obj;
 mod obj_lines;
 mod ply;
 mod source;
 mod stl;
+mod textures;
 
 pub use error::{ImportError, Refusal};
+pub use textures::Model;
 
+use crate::images::{ImageContent, ImageSource};
 use error::{damaged, refused};
+use pb_mesh::material::Material;
 use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
 pub(crate) use source::Source;
@@ -39,16 +44,18 @@ pub enum Format {
     Gltf,
 }
 
-/// Limits of an import.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Limits of an import, and what is added to it.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ImportOptions {
     /// Most triangles of all inputs together, after instances are expanded.
     pub max_triangles: usize,
+    /// An image for the inputs that have texture coordinates but no image.
+    pub texture: Option<PathBuf>,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        ImportOptions { max_triangles: MAX_TRIANGLE_COUNT }
+        ImportOptions { max_triangles: MAX_TRIANGLE_COUNT, texture: None }
     }
 }
 
@@ -83,8 +90,12 @@ pub struct InputReport {
 /// All inputs as one scene.
 #[derive(Clone, Debug, Default)]
 pub struct Import {
-    /// The inputs one after the other.
+    /// The inputs one after the other. It has texture coordinates and materials only where there are images.
     pub soup: Soup,
+    /// All materials, or none where there are no images.
+    pub materials: Vec<Material>,
+    /// Those that triangles show, not decoded yet.
+    pub images: Vec<ImageSource>,
     /// In the order of the inputs.
     pub inputs: Vec<InputReport>,
 }
@@ -98,7 +109,7 @@ pub fn load(
     options: &ImportOptions,
     progress: &dyn Fn(ImportProgress),
 ) -> Result<Import, ImportError> {
-    let mut scene = Import::default();
+    let (mut scene, mut inputs) = (Model::default(), Vec::new());
     let mut bytes_done = 0;
     let report =
         |inputs_done, bytes_done| progress(ImportProgress { inputs_done, input_count: paths.len(), bytes_done });
@@ -110,24 +121,27 @@ pub fn load(
         let format = source::sniff(&name, bytes)?;
         let base = path.parent().map(|p| if p.as_os_str().is_empty() { Path::new(".") } else { p });
         let max_triangles = options.max_triangles.saturating_sub(scene.soup.triangles.len());
-        let input = Input { name: &name, bytes, base, max_triangles };
-        let (soup, warnings) = read(format, &input)?;
-        if scene.soup.positions.len() + soup.positions.len() >= u32::MAX as usize {
+        let wants_uvs = options.texture.is_some();
+        let input = Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs };
+        let (model, warnings) = read(format, &input, options.texture.as_deref())?;
+        if scene.soup.positions.len() + model.soup.positions.len() >= u32::MAX as usize {
             return Err(too_many(&name, options.max_triangles));
         }
         bytes_done += bytes.len() as u64;
-        scene.inputs.push(InputReport {
+        inputs.push(InputReport {
             path: path.clone(),
             format,
             bytes: bytes.len() as u64,
-            triangles: soup.triangles.len(),
-            vertices: soup.positions.len(),
+            triangles: model.soup.triangles.len(),
+            vertices: model.soup.positions.len(),
             warnings,
         });
-        scene.soup.append(soup);
+        scene.append(model);
         report(i + 1, bytes_done);
     }
-    Ok(scene)
+    scene.finish();
+    let Model { soup, materials, images } = scene;
+    Ok(Import { soup, materials, images, inputs })
 }
 
 /// Reads one model from memory, and what was odd about it. Files that it refers to are looked for in `base`; without
@@ -135,28 +149,38 @@ pub fn load(
 ///
 /// # Errors
 /// See [`ImportError`]; messages call the input "input".
-pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(Soup, Vec<String>), ImportError> {
-    read(format, &Input { name: "input", bytes, base, max_triangles: ImportOptions::default().max_triangles })
+pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(Model, Vec<String>), ImportError> {
+    let max_triangles = ImportOptions::default().max_triangles;
+    let input = Input { name: "input", path: None, bytes, base, max_triangles, wants_uvs: false };
+    let (mut model, warnings) = read(format, &input, None)?;
+    model.finish();
+    Ok((model, warnings))
 }
 
 /// One input, as all readers take it.
 struct Input<'a> {
     /// For messages.
     name: &'a str,
+    /// Where its bytes come from; none for bytes in memory.
+    path: Option<&'a Path>,
     bytes: &'a [u8],
     /// Where files that it refers to are.
     base: Option<&'a Path>,
     max_triangles: usize,
+    /// Texture coordinates are read also where no material has an image.
+    wants_uvs: bool,
 }
 
-fn read(format: Format, input: &Input) -> Result<(Soup, Vec<String>), ImportError> {
+/// `texture`: for models without images of their own.
+fn read(format: Format, input: &Input, texture: Option<&Path>) -> Result<(Model, Vec<String>), ImportError> {
     let mut warnings = Warnings::default();
-    let soup = match format {
+    let mut model = match format {
         Format::Obj => obj::read(input, &mut warnings),
         Format::Ply => ply::read(input, &mut warnings),
-        Format::Stl => stl::read(input, &mut warnings),
+        Format::Stl => stl::read(input, &mut warnings).map(|soup| Model { soup, ..Model::default() }),
         Format::Gltf => gltf::read(input, &mut warnings),
     }?;
+    let soup = &model.soup;
     if soup.triangles.len() > input.max_triangles {
         return Err(too_many(input.name, input.max_triangles));
     }
@@ -169,7 +193,15 @@ fn read(format: Format, input: &Input) -> Result<(Soup, Vec<String>), ImportErro
         let what = format!("vertex {i} (counted from 0) has the position ({x}, {y}, {z}), which is no usable place");
         return Err(refused(Refusal::NotFinite, input.name, what, "remove the vertex or export the model again"));
     }
-    Ok((soup, warnings.into_list()))
+    model.tidy(&mut warnings);
+    if let Some(path) = texture {
+        let content = ImageContent::File(path.to_owned());
+        model.cover(ImageSource { name: path.display().to_string(), content }, &mut warnings);
+    }
+    if !model.images.is_empty() {
+        warnings.add(TEXTURE_WARNING);
+    }
+    Ok((model, warnings.into_list()))
 }
 
 fn too_many(name: &str, limit: usize) -> ImportError {

@@ -1,15 +1,16 @@
-//! Wavefront OBJ by the crate `tobj`, behind [`ObjLines`], which finds faults and their lines; material colours from MTL.
+//! Wavefront OBJ by the crate `tobj`, behind [`ObjLines`], which finds faults and their lines; materials from MTL.
 //!
-//! Vertex colours win over material colours. Materials with a texture count as white: their colour is meant to be
-//! multiplied with the texture, which is not read.
+//! Vertex colours win over material colours. Texture coordinates are read only where a material has an image.
 
 use super::error::{ImportError, damaged};
-use super::obj_lines::{Mode, ObjLines, Stop, number};
-use super::{Input, TEXTURE_WARNING, Warnings, guarded};
-use pb_mesh::mesh::Soup;
+use super::mtl::{self, MtlMaterial, Surroundings};
+use super::obj_lines::{Mode, ObjLines, Stop};
+use super::textures::{ImageList, Model};
+use super::{Input, Warnings, guarded};
+use pb_mesh::mesh::{NO_MATERIAL, Soup};
 use std::cell::RefCell;
 use std::path::{Component, Path, PathBuf};
-use tobj::{LoadOptions, MTLLoadResult, Material, Model};
+use tobj::{LoadOptions, MTLLoadResult};
 
 /// Longest material library that is read.
 const MAX_MTL_BYTES: u64 = 64 << 20;
@@ -17,38 +18,43 @@ const MAX_MTL_BYTES: u64 = 64 << 20;
 const DEFAULT_DIFFUSE: [f64; 2] = [0.8, 1.0];
 
 /// Reads an OBJ file.
-pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Soup, ImportError> {
+pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Model, ImportError> {
     let mut mode = Mode::default();
     loop {
-        let mut lines = ObjLines::new(input.name, input.bytes, mode);
-        let libraries = Libraries { base: input.base, warnings: RefCell::default() };
+        let libraries = Libraries::new(input);
+        let mut lines = ObjLines::new(input.name, input.bytes, mode, &libraries);
         let options = LoadOptions { single_index: true, ..LoadOptions::default() };
-        let parsed = guarded(input.name, || tobj::load_obj_buf(&mut lines, &options, |path| libraries.load(path)))?;
+        let parsed = guarded(input.name, || tobj::load_obj_buf(&mut lines, &options, |_| libraries.names()))?;
         match lines.verdict() {
             Some(Stop::Error(error)) => return Err(error),
-            // Each turn adds an attribute, so there are three at most.
+            // Each turn adds an attribute, so there are four at most.
             Some(Stop::Again(again)) => mode = again,
             None => {
-                let (models, materials) = parsed.map_err(|error| damaged(input.name, error.to_string()))?;
-                warnings.append(libraries.warnings.into_inner());
+                let (models, _) = parsed.map_err(|error| damaged(input.name, error.to_string()))?;
                 let unreferenced_left_out = lines.unreferenced();
-                if lines.has_texture_coordinates {
-                    warnings.add(TEXTURE_WARNING);
-                }
-                warnings.append(lines.warnings);
-                let soup = join(&models, &materials.unwrap_or_default(), warnings);
-                return Ok(Soup { unreferenced_left_out, ..soup });
+                let has_uvs = lines.has_uvs();
+                let more = std::mem::take(&mut lines.warnings);
+                drop(lines);
+                let Shelf { materials, images, warnings: found, .. } = libraries.shelf.into_inner();
+                warnings.append(found);
+                warnings.append(more);
+                let soup = join(&models, &materials, has_uvs, warnings);
+                return Ok(Model {
+                    soup: Soup { unreferenced_left_out, ..soup },
+                    materials: materials.into_iter().map(|m| m.material).collect(),
+                    images: images.list,
+                });
             }
         }
     }
 }
 
 /// All objects as one soup.
-fn join(models: &[Model], materials: &[Material], warnings: &mut Warnings) -> Soup {
+fn join(models: &[tobj::Model], materials: &[MtlMaterial], has_uvs: bool, warnings: &mut Warnings) -> Soup {
     let mut soup = Soup::default();
-    let color_of = |model: &Model| {
+    let color_of = |model: &tobj::Model| {
         let material = model.mesh.material_id.and_then(|id| materials.get(id));
-        material.map_or([1.0; 3], diffuse)
+        material.and_then(|m| m.diffuse).unwrap_or([1.0; 3])
     };
     let chosen = |color: [f64; 3]| !DEFAULT_DIFFUSE.iter().any(|&d| color == [d; 3]);
     let has_material_colors = models.iter().any(|m| !m.mesh.indices.is_empty() && chosen(color_of(m)));
@@ -56,6 +62,7 @@ fn join(models: &[Model], materials: &[Material], warnings: &mut Warnings) -> So
     // Some programs write 0 to 255.
     let scale = if brightest > 1.0 { 1.0 } else { 255.0 };
     let byte = |x: f64| (x * scale).round() as u8;
+    let mut uv_set = Vec::new();
     for model in models {
         let mesh = &model.mesh;
         let base = soup.positions.len() as u32;
@@ -67,7 +74,20 @@ fn join(models: &[Model], materials: &[Material], warnings: &mut Warnings) -> So
             let [r, g, b] = color_of(model).map(|x| (x * 255.0).round() as u8);
             soup.colors.resize(soup.positions.len(), [r, g, b, 255]);
         }
+        if has_uvs {
+            // OBJ's v runs upwards.
+            let uvs = mesh.texcoords.chunks_exact(2).map(|uv| [uv[0] as f32, (1.0 - uv[1]) as f32]);
+            uv_set.extend(uvs);
+            uv_set.resize(soup.positions.len(), [0.0; 2]);
+        }
         take_faces(&mesh.indices, &mesh.face_arities, base, &mut soup);
+        if !materials.is_empty() {
+            let material = mesh.material_id.map_or(NO_MATERIAL, |id| id as u32);
+            soup.material_of.resize(soup.triangles.len(), material);
+        }
+    }
+    if has_uvs {
+        soup.uv_sets.push(uv_set);
     }
     // Objects without normals between objects with: none for those.
     if !soup.normals.is_empty() && soup.normals.len() != soup.positions.len() {
@@ -104,37 +124,62 @@ fn take_faces(indices: &[u32], arities: &[u32], base: u32, soup: &mut Soup) {
     }
 }
 
-/// The diffuse colour, 0 to 1, of a material; white where a texture covers it.
-fn diffuse(material: &Material) -> [f64; 3] {
-    if material.diffuse_texture.is_some() { [1.0; 3] } else { material.diffuse.unwrap_or([1.0; 3]) }
+/// Finds material libraries beside the model.
+pub(super) struct Libraries<'a> {
+    input: &'a Input<'a>,
+    shelf: RefCell<Shelf>,
 }
 
-/// Finds material libraries beside the model.
-struct Libraries<'a> {
-    base: Option<&'a Path>,
-    warnings: RefCell<Warnings>,
+/// What the libraries had so far.
+#[derive(Default)]
+struct Shelf {
+    materials: Vec<MtlMaterial>,
+    images: ImageList,
+    warnings: Warnings,
+    /// How many materials the parser knows.
+    told: usize,
 }
 
 impl Libraries<'_> {
+    fn new<'a>(input: &'a Input<'a>) -> Libraries<'a> {
+        Libraries { input, shelf: RefCell::default() }
+    }
+
     /// Reads what a `mtllib` line names: one file whose name may have blanks, or several.
-    fn load(&self, names: &Path) -> MTLLoadResult {
-        let names = names.to_string_lossy();
-        let whole = self.find(&names);
-        let files: Vec<(String, Option<PathBuf>)> = match whole {
-            Some(path) => vec![(names.into_owned(), Some(path))],
-            None => names.split_ascii_whitespace().map(|name| (name.to_owned(), self.find(name))).collect(),
+    pub(super) fn load(&self, names: &str) {
+        let whole = self.find(names);
+        let files: Vec<(&str, Option<PathBuf>)> = match whole {
+            Some(path) => vec![(names, Some(path))],
+            None => names.split_ascii_whitespace().map(|name| (name, self.find(name))).collect(),
         };
-        let mut text = Vec::new();
+        let Shelf { materials, images, warnings, .. } = &mut *self.shelf.borrow_mut();
         for (name, path) in files {
-            match path.and_then(|path| std::fs::read(path).ok()) {
-                Some(bytes) => clean_mtl(&bytes, &mut text),
-                None => self
-                    .warnings
-                    .borrow_mut()
-                    .add(format!("the material library \"{name}\" is not beside the model; its colours are not used")),
-            }
+            let bytes = path.as_ref().and_then(|path| std::fs::read(path).ok());
+            let (Some(bytes), Some(path)) = (bytes, path) else {
+                let text = "is not beside the model; its colours and images are not used";
+                warnings.add(format!("the material library \"{name}\" {text}"));
+                continue;
+            };
+            let folders: Vec<&Path> = path.parent().into_iter().chain(self.input.base).collect();
+            let mut around = Surroundings { model: self.input.name, folders: &folders, images, warnings };
+            mtl::parse(&bytes, &mut around, materials);
         }
-        tobj::load_mtl_buf(&mut text.as_slice())
+    }
+
+    /// Whether texture coordinates are worth reading, as far as is known.
+    pub(super) fn want_uvs(&self) -> bool {
+        self.input.wants_uvs || !self.shelf.borrow().images.list.is_empty()
+    }
+
+    /// The names of the materials that the parser does not know yet.
+    fn names(&self) -> MTLLoadResult {
+        let shelf = &mut *self.shelf.borrow_mut();
+        let new = &shelf.materials[shelf.told..];
+        let named = |m: &MtlMaterial| tobj::Material { name: m.material.name.clone(), ..tobj::Material::default() };
+        let index = new.iter().enumerate().map(|(i, m)| (m.material.name.clone(), i)).collect();
+        let list = new.iter().map(named).collect();
+        shelf.told = shelf.materials.len();
+        Ok((list, index))
     }
 
     /// A file in the folder of the model. Of an absolute path, of this system or of Windows, only the name counts.
@@ -145,40 +190,8 @@ impl Libraries<'_> {
         let name = if is_absolute { name.rsplit('/').next()? } else { &name };
         let relative = Path::new(name);
         let stays_inside = relative.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
-        let path = self.base?.join(relative);
+        let path = self.input.base?.join(relative);
         let is_sound = |m: std::fs::Metadata| m.is_file() && m.len() <= MAX_MTL_BYTES;
         (stays_inside && std::fs::metadata(&path).is_ok_and(is_sound)).then_some(path)
-    }
-}
-
-/// Names, diffuse colours and whether there is a texture: all that is used, in a form that cannot be misread.
-fn clean_mtl(bytes: &[u8], out: &mut Vec<u8>) {
-    let mut named = false;
-    for line in bytes.split(|&b| b == b'\n') {
-        let line = String::from_utf8_lossy(line);
-        let mut words = line.split_ascii_whitespace();
-        match words.next() {
-            Some("newmtl") => {
-                let name = line.trim().strip_prefix("newmtl").unwrap_or("").trim();
-                named = !name.is_empty();
-                if named {
-                    out.extend_from_slice(format!("newmtl {name}\n").as_bytes());
-                }
-            }
-            Some("Kd") if named => {
-                let values: Vec<f64> = words.map_while(|w| number(w.as_bytes())).take(3).collect();
-                let color = match values[..] {
-                    [r, g, b] => [r, g, b],
-                    [grey] => [grey; 3],
-                    _ => continue,
-                };
-                if color.iter().all(|x| x.is_finite()) {
-                    let [r, g, b] = color.map(|x| x.clamp(0.0, 1.0));
-                    out.extend_from_slice(format!("Kd {r} {g} {b}\n").as_bytes());
-                }
-            }
-            Some("map_Kd") if named => out.extend_from_slice(b"map_Kd texture\n"),
-            _ => {}
-        }
     }
 }

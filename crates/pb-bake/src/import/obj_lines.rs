@@ -1,11 +1,12 @@
-//! The lines of an OBJ file, checked and cleaned for the parser behind: only positions, colours, normals, faces and
-//! material names remain, all indices absolute and in range, so that every fault is found here, with its line.
+//! The lines of an OBJ file, checked and cleaned for the parser behind: only positions, colours, normals, texture coordinates,
+//! faces and material names remain, all indices absolute and in range, so that every fault is found here, with its line.
 //!
 //! What the parser cannot take is put right on the way: continued lines, bytes that are no UTF-8, vertices with and
 //! without colours in one file, corners with and without normals, indices of texture coordinates that are not there.
 
 use super::Warnings;
 use super::error::{ImportError, Refusal, damaged, refused};
+use super::obj::Libraries;
 use std::io::{BufRead, Read, Write};
 
 /// Cleaned text per step.
@@ -21,11 +22,21 @@ const BLANKS: [u8; 3] = [b' ', b'\t', b'\r'];
 pub(super) struct Mode {
     pub(super) colors: bool,
     pub(super) normals: bool,
+    pub(super) uvs: bool,
+}
+
+/// A corner of a face, all counted from 1; 0: none.
+#[derive(Clone, Copy)]
+struct Corner {
+    vertex: u64,
+    uv: u64,
+    normal: u64,
 }
 
 /// Reads cleaned lines.
 pub(super) struct ObjLines<'a> {
     name: &'a str,
+    libraries: &'a Libraries<'a>,
     rest: &'a [u8],
     /// Of the line at hand, counted from 1.
     line: usize,
@@ -33,7 +44,7 @@ pub(super) struct ObjLines<'a> {
     out: Vec<u8>,
     read: usize,
     joined: Vec<u8>,
-    corners: Vec<(u64, u64)>,
+    corners: Vec<Corner>,
     /// Unreadable vertices: number counted from 1, line.
     bad_vertices: Vec<(u64, usize)>,
     /// The highest index so far that points ahead, and the line that has it.
@@ -42,8 +53,8 @@ pub(super) struct ObjLines<'a> {
     /// Whether a face uses each vertex.
     used: Vec<bool>,
     normals: u64,
+    uvs: u64,
     pub(super) faces: u64,
-    pub(super) has_texture_coordinates: bool,
     pub(super) warnings: Warnings,
     stop: Option<Stop>,
 }
@@ -57,9 +68,11 @@ pub(super) enum Stop {
 }
 
 impl<'a> ObjLines<'a> {
-    pub(super) fn new(name: &'a str, bytes: &'a [u8], mode: Mode) -> ObjLines<'a> {
+    /// `libraries` get to know the material libraries that the lines name.
+    pub(super) fn new(name: &'a str, bytes: &'a [u8], mode: Mode, libraries: &'a Libraries<'a>) -> ObjLines<'a> {
         let mut lines = ObjLines {
             name,
+            libraries,
             rest: bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes),
             line: 0,
             mode,
@@ -72,15 +85,23 @@ impl<'a> ObjLines<'a> {
             vertices: 0,
             used: Vec::new(),
             normals: 0,
+            uvs: 0,
             faces: 0,
-            has_texture_coordinates: false,
             warnings: Warnings::default(),
             stop: None,
         };
         if mode.normals {
             lines.put_no_normal();
         }
+        if mode.uvs {
+            lines.put_no_uv();
+        }
         lines
+    }
+
+    /// Whether all corners have a texture coordinate, be it a made one.
+    pub(super) fn has_uvs(&self) -> bool {
+        self.mode.uvs
     }
 
     /// What stopped the lines, or is wrong at their end.
@@ -176,24 +197,12 @@ impl<'a> ObjLines<'a> {
                 self.warnings.add("points and lines are skipped");
                 Ok(())
             }
-            b"vt" => {
-                self.has_texture_coordinates = true;
-                Ok(())
-            }
+            b"vt" => self.uv(rest),
             b"curv" | b"curv2" | b"surf" => {
                 self.warnings.add("free-form curves and surfaces are skipped");
                 Ok(())
             }
-            b"mtllib" | b"usemtl" => {
-                let name = String::from_utf8_lossy(rest).trim().to_owned();
-                if !name.is_empty() {
-                    self.out.extend_from_slice(word);
-                    self.out.push(b' ');
-                    self.out.extend_from_slice(name.as_bytes());
-                    self.out.push(b'\n');
-                }
-                Ok(())
-            }
+            b"mtllib" | b"usemtl" => self.material(word, rest),
             _ => Ok(()),
         };
         if let Err(stop) = result {
@@ -279,6 +288,59 @@ impl<'a> ObjLines<'a> {
         Ok(())
     }
 
+    fn material(&mut self, word: &[u8], rest: &[u8]) -> Result<(), Stop> {
+        let name = String::from_utf8_lossy(rest).trim().to_owned();
+        if name.is_empty() {
+            return Ok(());
+        }
+        self.out.extend_from_slice(word);
+        self.out.push(b' ');
+        self.out.extend_from_slice(name.as_bytes());
+        self.out.push(b'\n');
+        if word == b"mtllib" {
+            self.libraries.load(&name);
+            // Texture coordinates that went by are wanted after all.
+            if self.uvs > 0 && !self.mode.uvs && self.libraries.want_uvs() {
+                return Err(Stop::Again(Mode { uvs: true, ..self.mode }));
+            }
+        }
+        Ok(())
+    }
+
+    fn uv(&mut self, rest: &[u8]) -> Result<(), Stop> {
+        if !self.mode.uvs && self.libraries.want_uvs() {
+            // A face or a texture coordinate went by.
+            if self.faces > 0 || self.uvs > 0 {
+                return Err(Stop::Again(Mode { uvs: true, ..self.mode }));
+            }
+            self.mode.uvs = true;
+            self.put_no_uv();
+        }
+        self.uvs += 1;
+        if !self.mode.uvs {
+            return Ok(());
+        }
+        let mut words = words(rest);
+        let zero: &[u8] = b"0";
+        let (u, v) = (words.next().unwrap_or(zero), words.next().unwrap_or(zero));
+        if number(u).is_some() && number(v).is_some() {
+            self.out.extend_from_slice(b"vt ");
+            self.out.extend_from_slice(u);
+            self.out.push(b' ');
+            self.out.extend_from_slice(v);
+            self.out.push(b'\n');
+        } else {
+            self.warnings.add("a texture coordinate cannot be read; (0, 0) is taken");
+            self.put_no_uv();
+        }
+        Ok(())
+    }
+
+    /// Stands for none.
+    fn put_no_uv(&mut self) {
+        self.out.extend_from_slice(b"vt 0 0\n");
+    }
+
     /// A normal of no length stands for none.
     fn put_no_normal(&mut self) {
         self.out.extend_from_slice(b"vn 0 0 0\n");
@@ -300,10 +362,12 @@ impl<'a> ObjLines<'a> {
         }
         self.out.push(b'f');
         for i in 0..self.corners.len() {
-            let (vertex, normal) = self.corners[i];
-            let written = match self.mode.normals {
-                true => write!(self.out, " {vertex}//{}", normal + 1),
-                false => write!(self.out, " {vertex}"),
+            let Corner { vertex, uv, normal } = self.corners[i];
+            let written = match (self.mode.uvs, self.mode.normals) {
+                (false, true) => write!(self.out, " {vertex}//{}", normal + 1),
+                (false, false) => write!(self.out, " {vertex}"),
+                (true, true) => write!(self.out, " {vertex}/{}/{}", uv + 1, normal + 1),
+                (true, false) => write!(self.out, " {vertex}/{}", uv + 1),
             };
             written.expect("writing to a vector does not fail");
         }
@@ -311,8 +375,8 @@ impl<'a> ObjLines<'a> {
         Ok(())
     }
 
-    /// Position and normal of `v`, `v/vt`, `v//vn` or `v/vt/vn`, counted from 1; normal 0: none.
-    fn corner(&mut self, word: &[u8]) -> Result<(u64, u64), ImportError> {
+    /// Of `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+    fn corner(&mut self, word: &[u8]) -> Result<Corner, ImportError> {
         let mut parts = word.split(|&b| b == b'/');
         let vertex = parts.next().and_then(integer);
         let texture = parts.next();
@@ -340,20 +404,26 @@ impl<'a> ObjLines<'a> {
             let line = self.bad_vertices.iter().find(|bad| bad.0 == vertex).map_or(0, |bad| bad.1);
             return Err(self.unreadable_vertex(line));
         }
-        Ok((vertex, self.corner_normal(normal.and_then(integer))))
+        let (uv, normal) = (texture.and_then(integer), normal.and_then(integer));
+        let missing_normal = "a face refers to a normal that is not defined; it is made new";
+        let missing_uv = "a face refers to a texture coordinate that is not defined; (0, 0) is taken";
+        let normal = self.defined(normal, self.normals, missing_normal);
+        let uv = if self.mode.uvs { self.defined(uv, self.uvs, missing_uv) } else { 0 };
+        Ok(Corner { vertex, uv, normal })
     }
 
-    fn corner_normal(&mut self, index: Option<i64>) -> u64 {
-        let normal = match index {
+    /// One of `count` things so far by an index that may be relative, counted from 1; 0 where there is none.
+    fn defined(&mut self, index: Option<i64>, count: u64, warning: &str) -> u64 {
+        let number = match index {
             None => return 0,
             Some(index @ 1..) => index as u64,
-            Some(index) => self.normals.checked_sub(index.unsigned_abs()).map_or(0, |n| n + 1),
+            Some(index) => count.checked_sub(index.unsigned_abs()).map_or(0, |n| n + 1),
         };
-        if index == Some(0) || normal == 0 || normal > self.normals {
-            self.warnings.add("a face refers to a normal that is not defined; it is made new");
+        if index == Some(0) || number == 0 || number > count {
+            self.warnings.add(warning);
             return 0;
         }
-        normal
+        number
     }
 
     fn out_of_range(&self, index: &str) -> ImportError {

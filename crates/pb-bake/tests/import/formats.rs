@@ -249,7 +249,7 @@ fn binary_stl_that_begins_with_solid_is_binary() {
     assert_says(&refusal(Format::Stl, &bytes), &["promises 2 triangles", "room for 1"]);
     bytes[80] = 1;
     bytes.extend([0; 7]);
-    let (soup, warnings) = load_bytes(Format::Stl, &bytes, None).unwrap();
-    assert_eq!(soup.triangles.len(), 1);
+    let (model, warnings) = load_bytes(Format::Stl, &bytes, None).unwrap();
+    assert_eq!(model.soup.triangles.len(), 1);
     assert_says(&warnings[0], &["7 bytes behind the last triangle"]);
 }

@@ -82,7 +82,8 @@ fn a_file_with_any_byte_changed_never_panics() {
             for change in [1, 0x80, 0xFF] {
                 let mut changed = bytes.clone();
                 changed[at] ^= change;
-                if let Ok((soup, _)) = load_bytes(format, &changed, None) {
+                if let Ok((model, _)) = load_bytes(format, &changed, None) {
+                    let soup = model.soup;
                     let count = soup.positions.len();
                     assert!(soup.triangles.as_flattened().iter().all(|&i| (i as usize) < count));
                 }

@@ -27,13 +27,13 @@ fn load_file(path: impl AsRef<Path>) -> Result<Import, ImportError> {
 }
 
 fn read(format: Format, bytes: impl AsRef<[u8]>) -> Soup {
-    load_bytes(format, bytes.as_ref(), None).unwrap_or_else(|e| panic!("{e}")).0
+    load_bytes(format, bytes.as_ref(), None).unwrap_or_else(|e| panic!("{e}")).0.soup
 }
 
 /// The message of a refusal; fails where there is none.
 fn refusal(format: Format, bytes: impl AsRef<[u8]>) -> String {
     match load_bytes(format, bytes.as_ref(), None) {
-        Ok((soup, _)) => panic!("{} triangles instead of a refusal", soup.triangles.len()),
+        Ok((model, _)) => panic!("{} triangles instead of a refusal", model.soup.triangles.len()),
         Err(error) => error.to_string(),
     }
 }

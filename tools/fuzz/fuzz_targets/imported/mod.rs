@@ -5,7 +5,12 @@ use pb_mesh::repair::{RepairOptions, repair};
 
 /// Reads arbitrary bytes; what is accepted must be a sound soup, and its repair a sound mesh.
 pub fn import(format: Format, data: &[u8]) {
-    let Ok((soup, _)) = load_bytes(format, data, None) else { return };
+    let Ok((model, _)) = load_bytes(format, data, None) else { return };
+    let (materials, images) = (model.materials.len(), model.images.len());
+    let textures = || model.materials.iter().flat_map(|m| m.textures.iter().flatten());
+    assert!(textures().all(|t| (t.image as usize) < images && (t.uv_set as usize) < model.soup.uv_sets.len()));
+    assert!(model.soup.material_of.iter().all(|&m| (m as usize) < materials));
+    let soup = model.soup;
     let count = soup.positions.len();
     assert!(!soup.triangles.is_empty());
     assert!(soup.triangles.as_flattened().iter().all(|&i| (i as usize) < count));

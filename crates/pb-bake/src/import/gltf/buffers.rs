@@ -3,12 +3,14 @@
 use super::super::Input;
 use super::super::error::{ImportError, Refusal, damaged, refused};
 use super::super::source::Source;
-use super::document::Buffer;
+use super::super::textures::{named_image, shown, stays_inside};
+use super::document::{Buffer, BufferView};
+use crate::images::ImageContent;
 use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use std::cell::OnceCell;
-use std::path::{Component, Path, PathBuf};
+use std::path::PathBuf;
 
 /// Writers disagree about padding and unused bits at the end.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
@@ -30,7 +32,7 @@ pub(super) struct Buffers<'a> {
 enum Bytes<'a> {
     Chunk(&'a [u8]),
     Decoded(Vec<u8>),
-    Mapped(Source),
+    Mapped(PathBuf, Source),
 }
 
 impl<'a> Buffers<'a> {
@@ -53,7 +55,7 @@ impl<'a> Buffers<'a> {
         let bytes = match cell.get().expect("it was filled above") {
             Bytes::Chunk(bytes) => bytes,
             Bytes::Decoded(bytes) => bytes.as_slice(),
-            Bytes::Mapped(source) => source.bytes(),
+            Bytes::Mapped(_, source) => source.bytes(),
         };
         let length = usize::try_from(buffer.byte_length).unwrap_or(usize::MAX);
         bytes.get(..length).ok_or_else(|| {
@@ -83,7 +85,7 @@ impl<'a> Buffers<'a> {
             return Err(refused(Refusal::Unsupported, place, what, remedy));
         }
         match candidates.iter().find_map(|name| self.find(name)) {
-            Some(path) => Source::open(&path).map(Bytes::Mapped),
+            Some(path) => Source::open(&path).map(|source| Bytes::Mapped(path, source)),
             None => {
                 let what = format!("refers to the file \"{shown}\", which is not there");
                 Err(refused(Refusal::Damaged, place, what, "copy it beside the model, or export a GLB"))
@@ -91,17 +93,58 @@ impl<'a> Buffers<'a> {
         }
     }
 
+    /// For messages.
+    pub(super) fn model(&self) -> &str {
+        self.input.name
+    }
+
+    /// Where an image is that a URI names.
+    pub(super) fn image_of_uri(&self, uri: &str) -> ImageContent {
+        if let Some(data) = uri.strip_prefix("data:") {
+            let broken = || ImageContent::Missing("its data URI is broken; export the model again".into());
+            return decode_data_uri(data).map_or_else(broken, |bytes| ImageContent::Bytes(bytes.into()));
+        }
+        if uri.contains("://") {
+            let text = "is on another machine; fetch that file, put it beside the model and correct the URI";
+            return ImageContent::Missing(format!("\"{}\" {text}", shown(uri)));
+        }
+        let folders: Vec<_> = self.input.base.into_iter().collect();
+        let decoded = String::from_utf8_lossy(&percent_decode(uri.as_bytes())).into_owned();
+        match named_image(self.input.name, &folders, &decoded).content {
+            ImageContent::Missing(_) => named_image(self.input.name, &folders, uri).content,
+            found => found,
+        }
+    }
+
+    /// Where an image is that lies in a buffer.
+    pub(super) fn image_of_view(&self, views: &[BufferView], index: usize) -> ImageContent {
+        let missing = |what: String| ImageContent::Missing(format!("{what}; export the model again"));
+        let Some(view) = views.get(index) else {
+            return missing(format!("it is in buffer view {index}, but there are only {}", views.len()));
+        };
+        let buffer = match self.get(view.buffer) {
+            Ok(buffer) => buffer,
+            Err(error) => return ImageContent::Missing(error.to_string()),
+        };
+        let end = view.byte_offset.checked_add(view.byte_length).filter(|&end| end <= buffer.len() as u64);
+        let Some(end) = end else {
+            return missing(format!("buffer view {index} goes beyond the {} bytes of its buffer", buffer.len()));
+        };
+        let (begin, bytes) = (view.byte_offset, &buffer[view.byte_offset as usize..end as usize]);
+        match (self.loaded[view.buffer].get(), self.input.path) {
+            (Some(Bytes::Mapped(path, _)), _) => ImageContent::Part(path.clone(), begin..end),
+            (Some(Bytes::Chunk(chunk)), Some(path)) => {
+                let before = chunk.as_ptr() as u64 - self.input.bytes.as_ptr() as u64;
+                ImageContent::Part(path.to_owned(), before + begin..before + end)
+            }
+            _ => ImageContent::Bytes(bytes.into()),
+        }
+    }
+
     fn find(&self, name: &str) -> Option<PathBuf> {
         let path = self.input.base?.join(name);
         path.is_file().then_some(path)
     }
-}
-
-/// Whether a relative path names something in or below the folder that it is relative to.
-fn stays_inside(name: &str) -> bool {
-    let is_windows_absolute = name.as_bytes().get(1) == Some(&b':');
-    let components = Path::new(name).components();
-    !is_windows_absolute && components.into_iter().all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
 }
 
 /// What follows `data:`.
@@ -144,15 +187,5 @@ mod tests {
         }
         assert_eq!(decoded("a;base64"), None);
         assert_eq!(decoded("a;base64,Q*"), None);
-    }
-
-    #[test]
-    fn paths_that_leave_the_folder_are_known() {
-        for name in ["../a.bin", "a/../../b", "/etc/passwd", "C:/a.bin", "c:a"] {
-            assert!(!stays_inside(name), "{name}");
-        }
-        for name in ["a.bin", "./a b.bin", "deep/er/a.bin", "a..bin"] {
-            assert!(stays_inside(name), "{name}");
-        }
     }
 }

@@ -1,7 +1,10 @@
-//! The parts of a glTF document that geometry needs. All else, sound or not, is skipped without being looked at.
+//! The parts of a glTF document that geometry needs. Materials and images stay as they are, for
+//! [`materials`](super::materials); all else, sound or not, is skipped without being looked at.
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
+use serde_json::Value;
+use std::collections::BTreeMap;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -20,9 +23,13 @@ pub(super) struct Document {
     #[serde(default)]
     pub(super) buffers: Vec<Buffer>,
     #[serde(default)]
-    pub(super) materials: Vec<Material>,
+    pub(super) materials: Vec<Value>,
     #[serde(default)]
-    pub(super) textures: Vec<IgnoredAny>,
+    pub(super) textures: Vec<Value>,
+    #[serde(default)]
+    pub(super) samplers: Vec<Value>,
+    #[serde(default)]
+    pub(super) images: Vec<Value>,
     #[serde(default)]
     pub(super) extensions_required: Vec<String>,
 }
@@ -106,6 +113,15 @@ pub(super) struct Attributes {
     pub(super) normal: Option<usize>,
     #[serde(rename = "COLOR_0")]
     pub(super) color: Option<usize>,
+    #[serde(flatten)]
+    others: BTreeMap<String, Value>,
+}
+
+impl Attributes {
+    /// The accessor of `TEXCOORD_n`.
+    pub(super) fn uv(&self, number: u32) -> Option<usize> {
+        self.others.get(&format!("TEXCOORD_{number}"))?.as_u64().map(|index| index as usize)
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -177,39 +193,4 @@ pub(super) struct BufferViewExtensions {
 pub(super) struct Buffer {
     pub(super) uri: Option<String>,
     pub(super) byte_length: u64,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Material {
-    #[serde(default)]
-    pub(super) pbr_metallic_roughness: MetallicRoughness,
-    #[serde(default)]
-    pub(super) extensions: MaterialExtensions,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct MetallicRoughness {
-    pub(super) base_color_factor: Option<[f64; 4]>,
-}
-
-#[derive(Default, Deserialize)]
-pub(super) struct MaterialExtensions {
-    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
-    pub(super) specular_glossiness: Option<SpecularGlossiness>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct SpecularGlossiness {
-    pub(super) diffuse_factor: Option<[f64; 4]>,
-}
-
-impl Material {
-    /// Linear red, green, blue, alpha.
-    pub(super) fn color(&self) -> [f64; 4] {
-        let gloss = self.extensions.specular_glossiness.as_ref().and_then(|s| s.diffuse_factor);
-        gloss.or(self.pbr_metallic_roughness.base_color_factor).unwrap_or([1.0; 4])
-    }
 }

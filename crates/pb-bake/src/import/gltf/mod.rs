@@ -1,5 +1,5 @@
-//! glTF 2.0 and GLB: all triangles of the default scene in world space, without textures, animations and skins
-//! (skinned meshes stand as they were modelled).
+//! glTF 2.0 and GLB: all triangles of the default scene in world space with their materials, without animations and
+//! skins (skinned meshes stand as they were modelled).
 //!
 //! Own reader on `serde_json`, see docs/decisions/004-own-gltf-reader.md. Counts and ranges are checked against the
 //! bytes that are there, and the size of the expanded scene against a limit, before anything is allocated for it.
@@ -7,15 +7,18 @@
 mod accessor;
 mod buffers;
 mod document;
+mod materials;
 mod scene;
 
 use super::error::{ImportError, Refusal, damaged, refused};
-use super::{Input, TEXTURE_WARNING, Warnings};
+use super::textures::Model;
+use super::{Input, Warnings};
 use accessor::Reader;
 use buffers::Buffers;
 use document::{Document, Primitive, Versioned};
 use glam::{DMat3, DMat4, DVec3};
-use pb_mesh::mesh::Soup;
+use materials::Materials;
+use pb_mesh::mesh::{NO_MATERIAL, Soup};
 use scene::Placed;
 
 const MODE_TRIANGLES: u32 = 4;
@@ -37,27 +40,33 @@ const HARMLESS_EXTENSIONS: &[&str] = &[
 ];
 
 /// Reads a glTF or GLB file.
-pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Soup, ImportError> {
+pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Model, ImportError> {
     let (json, chunk) = if input.bytes.starts_with(b"glTF") { split_glb(input)? } else { (input.bytes, None) };
     let document = parse(input, json)?;
     let buffers = Buffers::new(input, chunk, &document.buffers);
     let reader = Reader { name: input.name, document: &document, buffers: &buffers };
-    if !document.textures.is_empty() {
-        warnings.add(TEXTURE_WARNING);
+    let mut materials = materials::read(&document, &buffers, warnings);
+    if materials.uv_sets.is_empty() && input.wants_uvs {
+        materials.uv_sets.push(0);
     }
     let placed = scene::placed_meshes(&reader, input.max_triangles)?;
-    let size = measure(&reader, &placed, input.max_triangles)?;
-    let mut parts = Parts { reader: &reader, cache: Vec::new(), warnings };
+    let size = measure(&reader, &placed, &materials, input.max_triangles)?;
+    let mut parts = Parts { reader: &reader, materials: &materials, cache: Vec::new(), warnings };
     parts.cache.resize_with(document.meshes.len(), || None);
     let mut soup = Soup::default();
     soup.positions.reserve_exact(size.vertices as usize);
     soup.triangles.reserve_exact(size.triangles as usize);
+    soup.uv_sets.resize_with(if size.has_uvs { materials.uv_sets.len() } else { 0 }, Vec::new);
     for at in &placed {
         for part in parts.of_mesh(at.mesh)? {
             add(part, at.world, size.has_colors, &mut soup);
+            soup.material_of.resize(soup.triangles.len(), part.material);
         }
     }
-    Ok(soup)
+    if materials.list.is_empty() {
+        soup.material_of = Vec::new();
+    }
+    Ok(Model { soup, materials: materials.list, images: materials.images.list })
 }
 
 /// The error for geometry that only an extension can unpack.
@@ -142,10 +151,16 @@ struct Size {
     vertices: u64,
     triangles: u64,
     has_colors: bool,
+    has_uvs: bool,
 }
 
 /// Sums up all placed primitives; refuses what is too large.
-fn measure(reader: &Reader, placed: &[Placed], max_triangles: usize) -> Result<Size, ImportError> {
+fn measure(
+    reader: &Reader,
+    placed: &[Placed],
+    materials: &Materials,
+    max_triangles: usize,
+) -> Result<Size, ImportError> {
     let mut size = Size::default();
     for at in placed {
         let Some(mesh) = reader.document.meshes.get(at.mesh) else {
@@ -159,11 +174,13 @@ fn measure(reader: &Reader, placed: &[Placed], max_triangles: usize) -> Result<S
             let triangles = if primitive.mode == MODE_TRIANGLES { corners / 3 } else { corners.saturating_sub(2) };
             size.vertices = size.vertices.saturating_add(vertices);
             size.triangles = size.triangles.saturating_add(triangles);
+            size.has_uvs |= materials.uv_sets.iter().any(|&n| primitive.attributes.uv(n).is_some());
             size.has_colors |= primitive.attributes.color.is_some() || base_color(reader, primitive)? != [1.0; 4];
         }
     }
-    // 24 + 12 + 4 bytes of a record, 12 of a triangle.
-    let bytes = size.vertices.saturating_mul(40).saturating_add(size.triangles.saturating_mul(12));
+    // 24 + 12 + 4 bytes of a record and 8 of each texture coordinate; 12 + 4 of a triangle.
+    let record = 40 + if size.has_uvs { 8 * materials.uv_sets.len() as u64 } else { 0 };
+    let bytes = size.vertices.saturating_mul(record).saturating_add(size.triangles.saturating_mul(16));
     let available = available_memory();
     if size.triangles > max_triangles as u64 || size.vertices >= u64::from(u32::MAX) {
         return Err(super::too_many(reader.name, max_triangles));
@@ -186,7 +203,7 @@ fn available_memory() -> u64 {
 fn base_color(reader: &Reader, primitive: &Primitive) -> Result<[f64; 4], ImportError> {
     let Some(index) = primitive.material else { return Ok([1.0; 4]) };
     let material = reader.document.materials.get(index);
-    material.map(document::Material::color).ok_or_else(|| {
+    material.map(materials::color).ok_or_else(|| {
         let count = reader.document.materials.len();
         damaged(reader.name, format!("a primitive has material {index}, but there are only {count}"))
     })
@@ -201,12 +218,17 @@ struct Part {
     colors: Vec<[u8; 4]>,
     /// sRGB, of all vertices where there are no colours.
     color: [u8; 4],
+    /// Per set; empty where the primitive has none.
+    uvs: Vec<Vec<[f32; 2]>>,
+    /// Index, or [`NO_MATERIAL`].
+    material: u32,
     triangles: Vec<[u32; 3]>,
 }
 
 /// Reads each mesh once, however often it is placed.
 struct Parts<'a, 'w> {
     reader: &'a Reader<'a>,
+    materials: &'a Materials,
     cache: Vec<Option<Vec<Part>>>,
     warnings: &'w mut Warnings,
 }
@@ -269,7 +291,33 @@ impl Parts<'_, '_> {
             self.warnings.add("indices at the end that make no whole triangle are skipped");
         }
         let triangles = assemble(primitive.mode, &corners);
-        Ok(Some(Part { positions, normals, colors, color: encode(factor), triangles }))
+        let uvs = self.uvs(primitive, positions.len())?;
+        let material = primitive.material.map_or(NO_MATERIAL, |m| m as u32);
+        Ok(Some(Part { positions, normals, colors, color: encode(factor), uvs, material, triangles }))
+    }
+
+    /// Texture coordinates per set that some material uses.
+    fn uvs(&mut self, primitive: &Primitive, count: usize) -> Result<Vec<Vec<[f32; 2]>>, ImportError> {
+        let mut sets = Vec::new();
+        for (set, &number) in self.materials.uv_sets.iter().enumerate() {
+            let mut uvs = Vec::new();
+            if let Some(accessor) = primitive.attributes.uv(number) {
+                let doubles = self.reader.vectors::<2>(accessor, 2, 0.0)?;
+                uvs = doubles.iter().map(|uv| uv.map(|x| x as f32)).collect();
+            }
+            let needed = primitive
+                .material
+                .and_then(|m| self.materials.list.get(m))
+                .is_some_and(|material| material.textures.iter().flatten().any(|t| t.uv_set as usize == set));
+            if uvs.len() != count && (needed || !uvs.is_empty()) {
+                self.warnings.add(format!("TEXCOORD_{number} is not there for all vertices; (0, 0) is taken"));
+            }
+            if uvs.len() != count {
+                uvs.clear();
+            }
+            sets.push(uvs);
+        }
+        Ok(sets)
     }
 }
 
@@ -314,6 +362,10 @@ fn add(part: &Part, world: DMat4, has_colors: bool, soup: &mut Soup) {
         soup.colors.extend_from_slice(&part.colors);
     } else if has_colors {
         soup.colors.resize(base + count, part.color);
+    }
+    for (set, uvs) in soup.uv_sets.iter_mut().zip(&part.uvs) {
+        set.extend_from_slice(uvs);
+        set.resize(base + count, [0.0; 2]);
     }
     let base = base as u32;
     soup.triangles.extend(part.triangles.iter().map(|&[a, b, c]| {

@@ -53,11 +53,19 @@ impl Rows<'_> {
 /// The vertex lists of an element.
 pub(super) enum Faces {
     Triangles(Vec<[u32; 3]>),
-    /// Polygon i is `indices[ends[i - 1]..ends[i]]`.
-    Polygons {
-        indices: Vec<u32>,
-        ends: Vec<usize>,
-    },
+    /// The i-th is `indices[ends[i - 1]..ends[i]]`.
+    Polygons(Polygons),
+}
+
+/// Faces of any number of corners.
+#[derive(Default)]
+pub(super) struct Polygons {
+    pub(super) indices: Vec<u32>,
+    pub(super) ends: Vec<usize>,
+    /// Empty, or one per index: texture coordinates with v upwards.
+    pub(super) uvs: Vec<[f32; 2]>,
+    /// Empty, or one per polygon: number of its image, from 0.
+    pub(super) textures: Vec<u32>,
 }
 
 impl Faces {
@@ -65,7 +73,7 @@ impl Faces {
     pub(super) fn triangle_bound(&self) -> usize {
         match self {
             Faces::Triangles(triangles) => triangles.len(),
-            Faces::Polygons { indices, .. } => indices.len(),
+            Faces::Polygons(polygons) => polygons.indices.len(),
         }
     }
 
@@ -76,7 +84,7 @@ impl Faces {
                 let face = triangles.par_iter().position_first(|t| t.iter().any(|&i| i as usize >= count))?;
                 triangles[face].iter().find(|&&i| i as usize >= count).map(|&i| (face, i))
             }
-            Faces::Polygons { indices, ends } => {
+            Faces::Polygons(Polygons { indices, ends, .. }) => {
                 let at = indices.iter().position(|&i| i as usize >= count)?;
                 Some((ends.partition_point(|&end| end <= at), indices[at]))
             }
@@ -151,9 +159,12 @@ impl<'a> Body<'a> {
         Ok(Rows::Parsed { values, count, kinds })
     }
 
-    /// The polygons of a face element.
-    pub(super) fn faces(&mut self, element: &Element) -> Result<Faces, ImportError> {
+    /// The polygons of a face element; with their texture coordinates where those are there and wanted.
+    pub(super) fn faces(&mut self, element: &Element, wants_uvs: bool) -> Result<Faces, ImportError> {
         let column = self.index_column(element, "face")?;
+        if wants_uvs && let Some(uv_column) = element.list("texcoord") {
+            return self.textured_faces(element, column, uv_column).map(Faces::Polygons);
+        }
         if let Some(triangles) = self.packed_triangles(element, column) {
             return Ok(Faces::Triangles(triangles));
         }
@@ -170,7 +181,40 @@ impl<'a> Body<'a> {
             }
             Ok(())
         })?;
-        Ok(Faces::Polygons { indices, ends })
+        Ok(Faces::Polygons(Polygons { indices, ends, ..Polygons::default() }))
+    }
+
+    /// A list of the wrong length makes all texture coordinates of its face (0, 0).
+    fn textured_faces(&mut self, element: &Element, column: usize, uv_column: usize) -> Result<Polygons, ImportError> {
+        let texture_column = element.scalar("texnumber");
+        let last = element.properties.len() - 1;
+        let (mut all, mut row_uvs) = (Polygons::default(), Vec::new());
+        let name = self.name();
+        self.each_row(element, |row, at, items| {
+            if at == column {
+                for &item in items {
+                    all.indices.push(as_index(item).ok_or_else(|| {
+                        damaged(name, format!("face {row} (counted from 0) refers to vertex {item}"))
+                    })?);
+                }
+                all.ends.push(all.indices.len());
+            } else if at == uv_column {
+                row_uvs.clear();
+                row_uvs.extend(items.chunks_exact(2).map(|uv| [uv[0] as f32, uv[1] as f32]));
+            } else if Some(at) == texture_column {
+                all.textures.push(as_index(items[0]).unwrap_or(u32::MAX));
+            }
+            if at == last {
+                let corners = all.indices.len() - all.uvs.len();
+                if row_uvs.len() == corners {
+                    all.uvs.append(&mut row_uvs);
+                } else {
+                    all.uvs.resize(all.indices.len(), [0.0; 2]);
+                }
+            }
+            Ok(())
+        })?;
+        Ok(all)
     }
 
     /// The triangles of a strip element: lists of indices, cut by -1.

@@ -35,6 +35,11 @@ impl Element {
         self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::One(_)))
     }
 
+    /// The first list property of a name, as index into `properties`.
+    pub(super) fn list(&self, name: &str) -> Option<usize> {
+        self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::List { .. }))
+    }
+
     /// Fewest bytes of one row in a binary body.
     pub(super) fn least_size(&self) -> usize {
         let least = |p: &Property| match p.kind {
@@ -53,6 +58,8 @@ impl Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
+    /// Names of images, as comments give them.
+    pub(super) textures: Vec<String>,
     /// Where the body begins.
     pub(super) size: usize,
 }
@@ -61,7 +68,7 @@ pub(super) struct Header {
 pub(super) fn parse(input: &Input, warnings: &mut Warnings) -> Result<Header, ImportError> {
     let mut lines = Lines::new(input);
     let mut encoding = None;
-    let mut elements: Vec<Element> = Vec::new();
+    let (mut elements, mut textures): (Vec<Element>, Vec<String>) = Default::default();
     if lines.next()? != "ply" {
         return Err(damaged(lines.place(), "the first line of a PLY file is \"ply\", this one differs"));
     }
@@ -69,6 +76,9 @@ pub(super) fn parse(input: &Input, warnings: &mut Warnings) -> Result<Header, Im
         let line = lines.next()?;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
+            ["comment", "TextureFile", _, ..] => {
+                textures.extend(line.split_once("TextureFile").map(|(_, name)| name.trim().to_owned()));
+            }
             [] | ["comment", ..] | ["obj_info", ..] => {}
             ["format", name, _version] => encoding = Some(parse_encoding(&lines, name)?),
             ["element", name, count] => {
@@ -88,13 +98,15 @@ pub(super) fn parse(input: &Input, warnings: &mut Warnings) -> Result<Header, Im
             ["format" | "element", ..] => return Err(damaged(lines.place(), format!("\"{line}\" is incomplete"))),
             [word, ..] => warnings.add(format!("the header line \"{word} ...\" is unknown and skipped")),
         }
-        if elements.len() > MAX_LIST || elements.last().is_some_and(|e| e.properties.len() > MAX_LIST) {
-            let what = format!("there are more than {MAX_LIST} elements or properties in the header");
+        if elements.len().max(textures.len()) > MAX_LIST
+            || elements.last().is_some_and(|e| e.properties.len() > MAX_LIST)
+        {
+            let what = format!("there are more than {MAX_LIST} elements, properties or images in the header");
             return Err(refused(Refusal::TooLarge, lines.place(), what, "export the model again"));
         }
     }
     let encoding = encoding.ok_or_else(|| damaged(lines.place(), "the header has no \"format\" line"))?;
-    Ok(Header { encoding, elements, size: lines.offset })
+    Ok(Header { encoding, elements, textures, size: lines.offset })
 }
 
 fn parse_encoding(lines: &Lines, name: &str) -> Result<Encoding, ImportError> {
