@@ -10,6 +10,9 @@
 //! Guthe et al. 2005 for the pruning by the largest distance known so far).
 
 mod back;
+mod texture;
+
+pub use texture::{TextureDeviation, texture_deviation};
 
 use crate::closest::{Facet, closest_on_segment, closest_on_triangle, height_over, segment_distance};
 use crate::topology::Fans;

@@ -110,7 +110,7 @@ fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], component: &[u32], small
 }
 
 /// Connected components over shared positions: for every position the smallest position it hangs together with.
-fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+pub(crate) fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..positions as u32).collect();
     fn find(parent: &mut [u32], mut v: u32) -> u32 {
         while parent[v as usize] != v {

@@ -163,7 +163,9 @@ fn moves(a: &mut Patch, b: &mut Patch, v: [u32; 2]) -> Vec<Move> {
     for k in 0..2 {
         let to = [ends_a[k], ends_b[k]];
         if matches!(a.input.kinds[to[0] as usize], Kind::Border | Kind::Locked) {
-            let cost = joint_cost(a, b, v, to).max(a.turn(to[0])).max(b.turn(to[1]));
+            let cost = (joint_cost(a, b, v, to) + a.stretch(to[0]).max(b.stretch(to[1])))
+                .max(a.turn(to[0]))
+                .max(b.turn(to[1]));
             list.push(Move { cost, to, along: [ends_a[1 - k], ends_b[1 - k]] });
         }
     }

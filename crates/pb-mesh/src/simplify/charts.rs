@@ -7,10 +7,11 @@
 use super::corner_lists::{CornerLists, NONE};
 use super::fan::Spoke;
 use super::slide::UvWitness;
+use super::stretch::{UvQuadric, offset, sum};
 use glam::{Vec2, Vec3};
 
 /// Units of texture coordinates per tile.
-pub(crate) const UV_UNITS: f32 = 65_536.0;
+const UV_UNITS: f32 = 65_536.0;
 
 /// Texture coordinates of a mesh cut into charts. A UV wedge is a distinct (cluster, position, chart corner).
 #[derive(Clone, Copy)]
@@ -26,6 +27,11 @@ pub struct UvInput<'a> {
 }
 
 impl UvInput<'_> {
+    /// Length on the surface of one unit of a cluster's tile coordinates, grid quanta.
+    pub fn unit(&self, cluster: usize) -> f32 {
+        self.tile_side[cluster] / UV_UNITS
+    }
+
     /// Twice the area of a triangle of wedges in its tile, exact.
     pub fn area(&self, wedges: [u32; 3]) -> i64 {
         area(wedges.map(|w| self.uv[w as usize].map(i32::from)))
@@ -52,6 +58,8 @@ pub(super) struct Charts {
     pub fan: Vec<[u32; 3]>,
     /// Length on the surface of one UV unit, quanta.
     pub unit: f32,
+    /// Stretch and seams; per wedge.
+    pub quadrics: Vec<UvQuadric>,
     /// See [`UvWitness`]; per wedge.
     pub witness: Vec<UvWitness>,
     /// The witnesses to keep at the targets of the collapse whose slide was asked for last.
@@ -89,9 +97,10 @@ impl Charts {
             .flat_map(place)
             .map(|(w, v)| UvWitness { uv: to_f32(at[w as usize]), at: positions[v] })
             .collect();
-        Charts {
+        let mut charts = Charts {
+            quadrics: Vec::new(),
             parent: (0..global.len() as u32).collect(),
-            unit: uv.tile_side[c as usize] / UV_UNITS,
+            unit: uv.unit(c as usize),
             fan: Vec::new(),
             farthest: [UvWitness::default(); 2],
             uv: at,
@@ -99,7 +108,19 @@ impl Charts {
             global,
             of_corner,
             witness,
-        }
+        };
+        charts.quadrics = sum(&charts, triangles, positions);
+        charts
+    }
+
+    /// Number of wedges.
+    pub fn count(&self) -> usize {
+        self.global.len()
+    }
+
+    /// The offset between two wedges whose positions are `d` apart.
+    pub fn offset(&self, [from, to]: [u32; 2], d: Vec3) -> [f32; 5] {
+        offset(d, (self.uv(to) - self.uv(from)) * self.unit)
     }
 
     /// Texture coordinates of a wedge, UV units.
@@ -152,8 +173,8 @@ impl Charts {
         })
     }
 
-    /// Carries the collapse of the fan's centre `v` onto `u` out, which is allowed.
-    pub fn collapse(&mut self, spokes: &[Spoke], corners: &CornerLists, v: u32, u: u32) {
+    /// Carries the collapse of the fan's centre `v` onto `u` out, which is allowed; `d` is the way.
+    pub fn collapse(&mut self, spokes: &[Spoke], corners: &CornerLists, [v, u]: [u32; 2], d: Vec3) {
         let joined = self.joined(spokes, u).expect("the collapse is allowed");
         for w in self.starts[v as usize]..self.starts[v as usize + 1] {
             // A wedge without triangles may become any.
@@ -163,6 +184,15 @@ impl Charts {
         for (i, _) in corners.numbered_around(v) {
             self.of_corner[i] = target(&joined, self.of_corner[i]);
         }
+        for pair in &joined[..if joined[0] == joined[1] { 1 } else { 2 }] {
+            let (moved, x) = (self.quadrics[pair[0] as usize], self.offset(*pair, d));
+            self.quadrics[pair[1] as usize].add_moved(&moved, x);
+        }
+    }
+
+    /// Keeps the witnesses of the collapse whose slide was asked for last.
+    pub fn keep_witnesses(&mut self, spokes: &[Spoke], u: u32) {
+        let joined = self.joined(spokes, u).expect("the collapse is allowed");
         for (pair, witness) in joined.iter().zip(self.farthest) {
             self.witness[pair[1] as usize] = witness;
         }

@@ -13,6 +13,7 @@ mod legal;
 mod patch;
 mod quadric;
 mod slide;
+mod stretch;
 mod vanish;
 
 pub use charts::UvInput;

@@ -204,16 +204,22 @@ impl Patch {
         self.candidates = list;
     }
 
-    /// Cost of moving `v` onto `u`, squared quanta: distance to the planes merged into `v`, and the bend of normals.
+    /// Cost of moving `v`, whose fan is laid out if there are charts, onto `u`, squared quanta: distance to the planes merged
+    /// into `v`, the bend of normals, and the stretch of texture.
     fn cost(&self, v: u32, u: u32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
-        self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d)
+        self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d) + self.stretch(u)
     }
 
     /// Squared distance at offset `d` from `v`, scaled, and the area of the planes behind it.
     pub fn geometric_cost(&self, v: u32, d: Vec3) -> (f32, f32) {
         let q = &self.quadrics[v as usize];
         (q.at(d) * self.scales[v as usize], q.weight)
+    }
+
+    /// See [`scale`].
+    pub fn scale_of(&self, v: u32) -> f32 {
+        self.scales[v as usize]
     }
 
     /// Cost of the normals' bend and of plain length.
@@ -328,7 +334,10 @@ impl Patch {
             }
         }
         if let Some(charts) = &mut self.input.charts {
-            charts.collapse(&self.fan.spokes, &self.corners, v, u);
+            if self.watchful {
+                charts.keep_witnesses(&self.fan.spokes, u);
+            }
+            charts.collapse(&self.fan.spokes, &self.corners, [v, u], d);
         }
         self.corners.merge(v, u);
         self.refresh_around(u, v);
@@ -346,6 +355,9 @@ impl Patch {
             let best = if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
                 self.cheapest(x)
             } else {
+                if self.input.charts.is_some() {
+                    self.spread(x);
+                }
                 let raw = self.cost(x, u);
                 if raw >= cost {
                     continue;

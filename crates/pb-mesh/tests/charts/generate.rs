@@ -6,6 +6,9 @@ use pb_mesh::topology::{Fans, Kind, classify};
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
+/// Of the torus, over its large radius.
+const SMALL_RADIUS: f64 = 0.3;
+
 /// How a grid of `n` x `n` quads is cut into charts.
 #[derive(Clone, Copy, Debug)]
 pub enum Cut {
@@ -28,6 +31,7 @@ pub enum Cut {
 pub enum Shape {
     Torus,
     HeightField,
+    Plane,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +41,14 @@ pub struct Recipe {
     pub cut: Cut,
     pub seed: u32,
     pub cluster: usize,
+    /// How far texture coordinates leave the grid at most, quads.
+    pub jitter: f64,
+    /// Units of texture coordinates per quad.
+    pub units: f64,
 }
+
+/// As many as the tile allows for grids of up to 180 quads.
+pub const FINE: f64 = 350.0;
 
 /// A mesh in clusters and charts.
 pub struct Charted {
@@ -76,8 +87,9 @@ impl Recipe {
             (x * TAU * 5.0).sin() * (y * TAU * 3.0).cos() * 0.03 + noise(self.seed, i, j) * 0.2 / f64::from(self.n);
         let p = match self.shape {
             Shape::HeightField => [x, y, bump],
+            Shape::Plane => [x, y, 0.0],
             Shape::Torus => {
-                let r = 0.3 + bump;
+                let r = SMALL_RADIUS + bump;
                 let out = 1.0 + r * (y * TAU).cos();
                 [out * (x * TAU).cos(), out * (x * TAU).sin(), r * (y * TAU).sin()]
             }
@@ -107,15 +119,17 @@ impl Recipe {
             return [77, 99];
         }
         let side = self.side();
-        let unit = 65_000.0 / f64::from(self.n + 2);
         let mut at = [f64::from(i - origin[0]), f64::from(j - origin[1])];
-        (0..2).for_each(|k| at[k] += 0.4 * noise(self.seed, i % side, j % side + k as u32 * 999));
+        (0..2).for_each(|k| at[k] += self.jitter * noise(self.seed, i % side, j % side + k as u32 * 999));
         if let Cut::Darts(w) = self.cut
             && above
         {
             at[1] += (f64::from(w / 2) - at[0]).max(0.0) / f64::from(w);
         }
-        at.map(|c| (c * unit).round() as u16)
+        if self.shape == Shape::Torus {
+            at[1] *= SMALL_RADIUS;
+        }
+        at.map(|c| (c * self.units).round() as u16)
     }
 
     pub fn build(&self) -> Charted {
@@ -159,8 +173,7 @@ impl Recipe {
             }));
         }
         let around = if self.shape == Shape::Torus { TAU * 1e6 } else { 1e6 };
-        let tile_side =
-            vec![(around / f64::from(self.n) * f64::from(self.n + 2) / 65_000.0 * 65_536.0) as f32; segmentation.len()];
+        let tile_side = vec![(around / f64::from(self.n) / self.units * 65_536.0) as f32; segmentation.len()];
         Charted {
             positions,
             triangles,
@@ -186,6 +199,12 @@ impl Charted {
         self.simplify_with(Some(self.texture()), levels, ratio)
     }
 
+    /// With the texture's charts but not its costs.
+    pub fn simplify_carelessly(&self, levels: usize, ratio: f64) -> Collapses {
+        let no_size = vec![0.0; self.tile_side.len()];
+        self.simplify_with(Some(UvInput { tile_side: &no_size, ..self.texture() }), levels, ratio)
+    }
+
     pub fn simplify_untextured(&self, levels: usize, ratio: f64) -> Collapses {
         self.simplify_with(None, levels, ratio)
     }
@@ -203,6 +222,10 @@ impl Charted {
             texture,
         };
         simplify(&input, levels, ratio, &|_| ())
+    }
+
+    pub fn at(&self, v: u32) -> glam::DVec3 {
+        glam::DVec3::from(self.positions[v as usize].map(f64::from))
     }
 
     /// Numbers of the triangles that a level has, and their positions.

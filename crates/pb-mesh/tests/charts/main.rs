@@ -1,11 +1,13 @@
 //! Simplification of meshes cut into charts: no level turns a triangle over in UV or tears a chart.
 
+mod deviation;
 mod generate;
+mod report;
 
-use generate::{Charted, Cut, Recipe, Shape};
+use generate::{Charted, Cut, FINE, Recipe, Shape};
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 const LEVELS: usize = 5;
 /// Cuts of a grid of 48 x 48 quads.
@@ -16,16 +18,46 @@ fn recipes() -> impl Iterator<Item = Recipe> {
     let shapes = [Shape::Torus, Shape::HeightField];
     let of_shape = move |shape| {
         let of_cut = move |cut| {
-            (0..3).map(move |seed| Recipe { shape, n: 48, cut, seed, cluster: [9999, 1200][seed as usize % 2] })
+            (0..3).map(move |seed| Recipe {
+                shape,
+                n: 48,
+                cut,
+                seed,
+                cluster: [9999, 1200][seed as usize % 2],
+                jitter: 0.2,
+                units: [FINE, 1300.0, 12.0][seed as usize],
+            })
         };
         CUTS.into_iter().flat_map(of_cut)
     };
     shapes.into_iter().flat_map(of_shape)
 }
 
+/// Edges whose two triangles have different wedges there, as positions.
+fn seams(mesh: &Charted, triangles: &[([u32; 3], [u32; 3])]) -> BTreeSet<[u32; 2]> {
+    let mut sides: HashMap<[u32; 2], [u32; 2]> = HashMap::new();
+    let mut found = BTreeSet::new();
+    for (at, wedges) in triangles {
+        for k in 0..3 {
+            let next = (k + 1) % 3;
+            let (edge, side) = match at[k] < at[next] {
+                true => ([at[k], at[next]], [wedges[k], wedges[next]]),
+                false => ([at[next], at[k]], [wedges[next], wedges[k]]),
+            };
+            if sides.insert(edge, side).is_some_and(|other| other != side) {
+                found.insert(edge);
+            }
+        }
+    }
+    assert!(sides.len() <= mesh.triangles.len() * 2);
+    found
+}
+
 /// Checks what must hold at every level.
 fn check(what: &str, mesh: &Charted, collapses: &Collapses) {
     let texture = mesh.texture();
+    let whole: Vec<([u32; 3], [u32; 3])> = mesh.triangles.iter().copied().zip(mesh.corners.iter().copied()).collect();
+    let first_seams = seams(mesh, &whole);
     for level in 0..LEVELS as u8 {
         let triangles = mesh.level(collapses, level);
         for &(t, at) in &triangles {
@@ -38,6 +70,12 @@ fn check(what: &str, mesh: &Charted, collapses: &Collapses) {
             }
             let (old, new) = (texture.area(before), texture.area(after));
             assert!(new > 0 || old == 0 && new == 0, "{what}: triangle {t} at level {level}: area {old} became {new}");
+        }
+        let wedges = |t: usize| mesh.corners[t].map(|w| collapses.wedge_ancestor(w, level));
+        let old: BTreeSet<[u32; 2]> = first_seams.iter().map(|e| e.map(|v| collapses.ancestor(v, level))).collect();
+        let here: Vec<_> = triangles.iter().map(|&(t, at)| (at, wedges(t))).collect();
+        for [a, b] in seams(mesh, &here) {
+            assert!(old.contains(&[a, b]) || old.contains(&[b, a]), "{what}: a new seam {a} {b} at {level}");
         }
         let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
         triangles.iter().for_each(|(_, t)| (0..3).for_each(|k| *edges.entry([t[k], t[(k + 1) % 3]]).or_default() += 1));
@@ -59,14 +97,16 @@ fn no_level_turns_a_triangle_over_in_uv_or_takes_it_out_of_its_chart() {
 
 #[test]
 fn a_texture_without_area_changes_nothing() {
-    let mesh = Recipe { shape: Shape::Torus, n: 48, cut: Cut::Point, seed: 1, cluster: 9999 }.build();
+    let mesh = Recipe { shape: Shape::Torus, n: 48, cut: Cut::Point, seed: 1, cluster: 9999, jitter: 0.4, units: FINE }
+        .build();
     assert!(mesh.simplify(LEVELS, 4.0).parent == mesh.simplify_untextured(LEVELS, 4.0).parent);
 }
 
 #[test]
 fn a_checker_of_single_triangles_stays_as_it_is() {
     for shape in [Shape::Torus, Shape::HeightField] {
-        let mesh = Recipe { shape, n: 24, cut: Cut::Triangles, seed: 1, cluster: 300 }.build();
+        let mesh =
+            Recipe { shape, n: 24, cut: Cut::Triangles, seed: 1, cluster: 300, jitter: 0.4, units: FINE }.build();
         let collapses = mesh.simplify(LEVELS, 4.0);
         check("checker", &mesh, &collapses);
         for level in 0..LEVELS {
@@ -82,7 +122,9 @@ fn a_checker_of_single_triangles_stays_as_it_is() {
 
 #[test]
 fn charts_simplify_alike_on_any_number_of_threads() {
-    let mesh = Recipe { shape: Shape::Torus, n: 48, cut: Cut::Cells(20), seed: 1, cluster: 600 }.build();
+    let mesh =
+        Recipe { shape: Shape::Torus, n: 48, cut: Cut::Cells(20), seed: 1, cluster: 600, jitter: 0.4, units: FINE }
+            .build();
     let with = |n: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
         let collapses = pool.install(|| mesh.simplify(LEVELS, 4.0));
