@@ -6,7 +6,7 @@ use super::image::Image;
 use super::mips::{Mips, coarser};
 use super::normal::{Derivatives, in_tile, perturbed};
 use super::raster::{Grid, double_area};
-use super::sample::{Footprint, Light, Sampler};
+use super::sample::{Footprint, Light, Rim, Sampler};
 use crate::material::{Material, Slot, TextureRef};
 use glam::{DMat2, DVec2, DVec3, Vec3, Vec4};
 
@@ -108,7 +108,7 @@ impl BakeOptions {
 /// Makes the mip chain of one map of a tile. A map of one value has a single mip of 4 texels.
 ///
 /// Texels as large as the source's whose centres coincide with those of the source are copies; larger ones are averages
-/// over their area, smaller ones are interpolated; all in linear light.
+/// over their area, smaller ones are interpolated; all in linear light. Beyond closed edges nothing of the source is used.
 ///
 /// # Panics
 /// When lists that are not empty do not have one entry per triangle of the layout, or `coverage` is of another layout.
@@ -165,6 +165,7 @@ struct Baker<'a> {
 impl<'a> Baker<'a> {
     fn fill_insides(&self, coverage: &Coverage, mut set: impl FnMut(u32, Vec4)) {
         let size = self.layout.size;
+        let mut rim = Vec::new();
         for (triangle, corners) in self.layout.corners.iter().enumerate() {
             if self.layout.chart_of[triangle] == NONE {
                 continue;
@@ -175,7 +176,8 @@ impl<'a> Baker<'a> {
                 if coverage.triangles[texel as usize] == triangle as u32 {
                     let patch = patch.get_or_insert_with(|| self.patch(triangle));
                     let at = DVec2::new(f64::from(x), f64::from(y)) + 0.5;
-                    set(texel, patch.value(patch.shape.weights(at)));
+                    self.rim(coverage, texel, &mut rim);
+                    set(texel, patch.value(patch.shape.weights(at), &rim));
                 }
             });
         }
@@ -184,7 +186,7 @@ impl<'a> Baker<'a> {
     /// Returns the texels that are to repeat others of their chart: (from, to).
     fn fill_borders(&self, coverage: &Coverage, mut set: impl FnMut(u32, Vec4)) -> Vec<(u32, u32)> {
         let size = self.layout.size;
-        let mut repeated = Vec::new();
+        let (mut repeated, mut rim) = (Vec::new(), Vec::new());
         for group in coverage.border.chunk_by(|a, b| a.triangle == b.triangle) {
             let triangle = group[0].triangle as usize;
             let patch = self.patch(triangle);
@@ -192,15 +194,28 @@ impl<'a> Baker<'a> {
             for border in group {
                 let at = DVec2::new(f64::from(border.texel % size), f64::from(border.texel / size)) + 0.5;
                 if open & (1 << border.edge) != 0 && patch.shape.tolerance <= MAX_EXTRAPOLATED_ERROR {
-                    set(border.texel, patch.value(patch.shape.weights(at)));
+                    set(border.texel, patch.value(patch.shape.weights(at), &[]));
                 } else if let Some(from) = self.copied_neighbour(coverage, &patch, border) {
                     repeated.push((from, border.texel));
                 } else {
-                    set(border.texel, patch.value(patch.shape.nearest_weights(at)));
+                    self.rim(coverage, border.texel, &mut rim);
+                    set(border.texel, patch.value(patch.shape.nearest_weights(at), &rim));
                 }
             }
         }
         repeated
+    }
+
+    /// The closed edges of its chart near a texel, in texels, the chart on the side of positive cross products.
+    fn rim(&self, coverage: &Coverage, texel: u32, rim: &mut Vec<[DVec2; 2]>) {
+        rim.clear();
+        rim.extend(coverage.rim(texel).iter().map(|&(_, (triangle, edge))| {
+            let corners = self.layout.corners[triangle as usize];
+            let unit = f64::from(self.layout.size) / 65536.0;
+            let at = |k: usize| DVec2::new(f64::from(corners[k][0]), f64::from(corners[k][1])) * unit;
+            let ends = [at(usize::from(edge)), at((usize::from(edge) + 1) % 3)];
+            if double_area(corners) < 0 { [ends[1], ends[0]] } else { ends }
+        }));
     }
 
     /// A texel of the chart's inside beside a border texel, where texels are copies of the source's.
@@ -344,32 +359,33 @@ struct Patch<'a> {
 }
 
 impl Patch<'_> {
-    /// The map's value in linear light, or the normal, at barycentric coordinates.
-    fn value(&self, weights: [f64; 3]) -> Vec4 {
+    /// The map's value in linear light, or the normal, at barycentric coordinates; `rim`: closed edges that are near.
+    fn value(&self, weights: [f64; 3], rim: &[[DVec2; 2]]) -> Vec4 {
         match self.map {
-            MapKind::BaseColor => self.base_color(weights),
+            MapKind::BaseColor => self.base_color(weights, rim),
             MapKind::Orm => {
-                let occlusion = self.image(0, weights).x;
-                let other = self.image(1, weights);
+                let occlusion = self.image(0, weights, rim).x;
+                let other = self.image(1, weights, rim);
                 let occlusion = 1.0 + self.material.occlusion_strength * (occlusion - 1.0);
                 Vec4::new(occlusion, self.material.roughness * other.y, self.material.metallic * other.z, 1.0)
             }
-            MapKind::Normal => self.normal(weights).extend(1.0),
+            MapKind::Normal => self.normal(weights, rim).extend(1.0),
             MapKind::Emissive => {
-                (Vec3::from_array(self.material.emissive) * self.image(0, weights).truncate()).extend(1.0)
+                (Vec3::from_array(self.material.emissive) * self.image(0, weights, rim).truncate()).extend(1.0)
             }
         }
     }
 
     /// White without an image.
-    fn image(&self, lookup: usize, weights: [f64; 3]) -> Vec4 {
+    fn image(&self, lookup: usize, weights: [f64; 3], rim: &[[DVec2; 2]]) -> Vec4 {
         let Some(l) = &self.lookups[lookup] else { return Vec4::ONE };
         let at = l.places[0] * weights[0] + l.places[1] * weights[1] + l.places[2] * weights[2];
-        l.sampler.average(at, &l.footprint)
+        let rim = Rim::new(rim, &l.footprint, l.places[0], self.shape.corners[0]);
+        l.sampler.average(at, &l.footprint, rim.as_ref())
     }
 
-    fn base_color(&self, weights: [f64; 3]) -> Vec4 {
-        let mut value = self.image(0, weights);
+    fn base_color(&self, weights: [f64; 3], rim: &[[DVec2; 2]]) -> Vec4 {
+        let mut value = self.image(0, weights, rim);
         if let Some([a, b, c]) = self.colors {
             value *= if a == b && b == c {
                 a
@@ -381,12 +397,12 @@ impl Patch<'_> {
         value.with_w(self.material.alpha_cutoff.map_or(1.0, |cutoff| centred_alpha(value.w, cutoff)))
     }
 
-    fn normal(&self, weights: [f64; 3]) -> Vec3 {
+    fn normal(&self, weights: [f64; 3], rim: &[[DVec2; 2]]) -> Vec3 {
         let Some(s) = &self.surface else { return Vec3::Z };
         let [u, v, w] = inner(weights);
         let normal = (s.normals[0] * u + s.normals[1] * v + s.normals[2] * w).try_normalize().unwrap_or(s.flat);
         let world = match &self.lookups[0] {
-            Some(_) => perturbed(self.image(0, weights), self.material.normal_scale, s.image.as_ref(), normal),
+            Some(_) => perturbed(self.image(0, weights, rim), self.material.normal_scale, s.image.as_ref(), normal),
             None => normal,
         };
         match self.space {

@@ -13,6 +13,8 @@ pub const MIN_SIZE: u32 = 4;
 pub const MAX_SIZE: u32 = 32768;
 /// How far from a chart its texels reach, in texels; a little more than one, as viewers interpolate in floats.
 const REACH: f64 = 1.0 + 1.0 / 64.0;
+/// How far from a closed edge texels are sampled with care, in texels: half of one, and a source texel that is two wide.
+const CARE: f64 = 2.5;
 /// No chart, no triangle, no texel.
 pub(super) const NONE: u32 = u32::MAX;
 
@@ -58,6 +60,10 @@ pub struct Coverage {
     pub(super) triangles: Vec<u32>,
     /// Ordered by triangle, then texel.
     pub(super) border: Vec<BorderTexel>,
+    /// Texels of mip 0 near closed edges of their own chart, with these; ordered by texel.
+    rims: Vec<(u32, Edge)>,
+    /// Where the rows of the tile begin in these, and the end.
+    rim_rows: Vec<usize>,
 }
 
 impl Coverage {
@@ -75,18 +81,28 @@ impl Coverage {
         assert!(layout.open_edges.is_empty() || layout.open_edges.len() == layout.corners.len(), "edges per triangle");
         let edges = chart_borders(layout);
         let (finest, triangles, border) = finest_level(layout, &edges);
+        let rims = rims(layout, &edges, &finest.owner);
+        let rim_rows = (0..=layout.size).map(|y| rims.partition_point(|r| r.0 < y * layout.size)).collect();
         let mut levels = vec![finest];
         let mut size = layout.size / 2;
         while size >= MIN_SIZE {
             levels.push(coarser_level(layout, &edges, size));
             size /= 2;
         }
-        Coverage { levels, triangles, border }
+        Coverage { levels, triangles, border, rims, rim_rows }
     }
 
     /// Texels per side of mip 0.
     pub fn size(&self) -> u32 {
         self.levels[0].size
+    }
+
+    /// The closed edges near a texel of mip 0.
+    pub(super) fn rim(&self, texel: u32) -> &[(u32, Edge)] {
+        let row = &self.rims
+            [self.rim_rows[(texel / self.size()) as usize]..self.rim_rows[(texel / self.size()) as usize + 1]];
+        let first = row.partition_point(|r| r.0 < texel);
+        &row[first..first + row[first..].iter().take_while(|r| r.0 == texel).count()]
     }
 
     /// Charts of the texels of a mip, rows from the top; `u32::MAX` more than one texel from every chart.
@@ -95,8 +111,8 @@ impl Coverage {
     }
 }
 
-/// Edge k of a triangle.
-type Edge = (u32, u8);
+/// Edge k of a triangle, from corner k to corner k + 1.
+pub(super) type Edge = (u32, u8);
 
 /// Edges that one triangle of their chart uses, in the order of triangles.
 fn chart_borders(layout: &TileLayout) -> Vec<Edge> {
@@ -128,7 +144,7 @@ fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<Bo
         }
     });
     let mut nearest: HashMap<u32, (f32, u32, u32, u8)> = HashMap::new();
-    for_each_near(layout, grid, edges, |texel, distance, (triangle, edge)| {
+    for_each_near(layout, grid, REACH, edges, |texel, distance, (triangle, edge)| {
         if triangles[texel] == NONE {
             let here = (distance, layout.chart_of[triangle as usize], triangle, edge);
             let best = nearest.entry(texel as u32).or_insert(here);
@@ -145,6 +161,20 @@ fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<Bo
     (Level { size: layout.size, owner, copies }, triangles, border)
 }
 
+fn rims(layout: &TileLayout, edges: &[Edge], owner: &[u32]) -> Vec<(u32, Edge)> {
+    let open = |(t, k): Edge| layout.open_edges.get(t as usize).is_some_and(|open| open & (1 << k) != 0);
+    let flat = |(t, _): Edge| double_area(layout.corners[t as usize]) == 0;
+    let closed: Vec<Edge> = edges.iter().copied().filter(|&e| !open(e) && !flat(e)).collect();
+    let mut rims = Vec::new();
+    for_each_near(layout, Grid { size: layout.size }, CARE, &closed, |texel, _, edge| {
+        if owner[texel] == layout.chart_of[edge.0 as usize] {
+            rims.push((texel as u32, edge));
+        }
+    });
+    rims.sort_unstable();
+    rims
+}
+
 fn coarser_level(layout: &TileLayout, edges: &[Edge], size: u32) -> Level {
     let grid = Grid { size };
     let count = (size * size) as usize;
@@ -154,7 +184,7 @@ fn coarser_level(layout: &TileLayout, edges: &[Edge], size: u32) -> Level {
             best[texel] = (0.0, layout.chart_of[triangle as usize]);
         }
     });
-    for_each_near(layout, grid, edges, |texel, distance, (triangle, _)| {
+    for_each_near(layout, grid, REACH, edges, |texel, distance, (triangle, _)| {
         let here = (distance, layout.chart_of[triangle as usize]);
         if best[texel].0 > 0.0 && here < best[texel] {
             best[texel] = here;
@@ -171,11 +201,11 @@ fn for_each_inside(layout: &TileLayout, grid: Grid, mut hit: impl FnMut(usize, u
     }
 }
 
-fn for_each_near(layout: &TileLayout, grid: Grid, edges: &[Edge], mut hit: impl FnMut(usize, f32, Edge)) {
+fn for_each_near(layout: &TileLayout, grid: Grid, reach: f64, edges: &[Edge], mut hit: impl FnMut(usize, f32, Edge)) {
     for &(triangle, k) in edges {
         let corners = layout.corners[triangle as usize];
         let (a, b) = (corners[usize::from(k)], corners[(usize::from(k) + 1) % 3]);
-        grid.near_edge(a, b, REACH, |x, y, d| hit((y * grid.size + x) as usize, d, (triangle, k)));
+        grid.near_edge(a, b, reach, |x, y, d| hit((y * grid.size + x) as usize, d, (triangle, k)));
     }
 }
 

@@ -3,13 +3,15 @@
 use super::color::{SRGB, UNORM, finite_light};
 use super::image::{Image, TexelFormat};
 use crate::material::{TextureRef, Wrap};
-use glam::{DMat2, DVec2, Vec4};
+use glam::{DAffine2, DMat2, DVec2, Vec4};
 use half::f16;
 
 /// Most samples per axis of a footprint; beyond, samples are spread out.
 const MAX_SAMPLES: f64 = 16.0;
 /// Nearer than this to the centre of a source texel, in source texels, a copy is that texel.
 const ON_CENTRE: f64 = 1.0 / 16.0;
+/// Source texels whose centres are this little outside a chart are in it, texels of the tile.
+const ON_RIM: f64 = 1.0 / 64.0;
 /// Weight of colour under zero alpha: decides only where nothing else does.
 const FAINT: f32 = 1.0 / 4096.0;
 /// Coordinates beyond are not told apart, source texels.
@@ -63,52 +65,47 @@ impl<'a> Sampler<'a> {
         if at.is_finite() { at.clamp(DVec2::splat(-FAR), DVec2::splat(FAR)) } else { DVec2::ZERO }
     }
 
-    /// The average around `at` over a footprint: the columns are what one texel of the tile to the right and one
-    /// downwards are in source texels.
-    pub fn average(&self, at: DVec2, footprint: &Footprint) -> Vec4 {
-        if footprint.copy {
-            let centre = at.floor() + 0.5;
-            if (at - centre).abs().max_element() <= ON_CENTRE {
-                return self.texel(at.x.floor() as i64, at.y.floor() as i64);
-            }
+    /// The average around `at` over a footprint. Of the source's texels only those that `rim` keeps are used, if it keeps
+    /// any.
+    pub fn average(&self, at: DVec2, footprint: &Footprint, rim: Option<&Rim>) -> Vec4 {
+        if footprint.copy && (at - at.floor() - 0.5).abs().max_element() <= ON_CENTRE
+            || self.nearest && footprint.samples == [1, 1]
+        {
+            return self.texel(at.x.floor() as i64, at.y.floor() as i64);
         }
+        rim.and_then(|rim| self.gather(at, footprint, |x, y| rim.keeps(DVec2::new(x as f64, y as f64) + 0.5)))
+            .or_else(|| self.gather(at, footprint, |_, _| true))
+            .unwrap_or(Vec4::ONE)
+    }
+
+    /// The average of the texels that `keep` accepts; `None` without any.
+    fn gather(&self, at: DVec2, footprint: &Footprint, keep: impl Fn(i64, i64) -> bool) -> Option<Vec4> {
         let [nx, ny] = footprint.samples;
-        if nx * ny == 1 {
-            return self.point(at);
-        }
-        let mut sum = Vec4::ZERO;
-        let (mut alpha, mut weights) = (0.0, 0.0);
+        let mut sum = Sum::default();
         for j in 0..ny {
             for i in 0..nx {
-                let step =
-                    DVec2::new((f64::from(i) + 0.5) / f64::from(nx) - 0.5, (f64::from(j) + 0.5) / f64::from(ny) - 0.5);
-                let texel = self.bilinear(at + footprint.matrix * step);
-                let weight = if self.by_alpha { texel.w + FAINT } else { 1.0 };
-                sum += texel * weight;
-                alpha += texel.w;
-                weights += weight;
+                let step = DVec2::new(middle(i, nx), middle(j, ny));
+                self.bilinear(at + footprint.matrix * step, &keep, &mut sum);
             }
         }
-        (sum / weights).truncate().extend(alpha / (nx * ny) as f32)
+        (sum.weight > 0.0).then(|| (sum.color / sum.color.w).with_w(sum.alpha / sum.weight))
     }
 
-    fn point(&self, at: DVec2) -> Vec4 {
-        if self.nearest { self.texel(at.x.floor() as i64, at.y.floor() as i64) } else { self.bilinear(at) }
-    }
-
-    fn bilinear(&self, at: DVec2) -> Vec4 {
+    fn bilinear(&self, at: DVec2, keep: &impl Fn(i64, i64) -> bool, sum: &mut Sum) {
         let corner = (at - 0.5).floor();
         let f = (at - 0.5 - corner).as_vec2();
         let (x, y) = (corner.x as i64, corner.y as i64);
-        let texels = [self.texel(x, y), self.texel(x + 1, y), self.texel(x, y + 1), self.texel(x + 1, y + 1)];
-        let mut weights = [(1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y];
-        let alpha: f32 = texels.iter().zip(weights).map(|(t, w)| t.w * w).sum();
-        if self.by_alpha {
-            weights.iter_mut().zip(&texels).for_each(|(w, t)| *w *= t.w + FAINT);
+        let weights = [(1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y];
+        for (k, weight) in (0..4).zip(weights) {
+            let (x, y) = (x + k % 2, y + k / 2);
+            if weight > 0.0 && keep(x, y) {
+                let texel = self.texel(x, y);
+                let share = if self.by_alpha { texel.w + FAINT } else { 1.0 } * weight;
+                sum.color += texel.with_w(1.0) * share;
+                sum.alpha += texel.w * weight;
+                sum.weight += weight;
+            }
         }
-        let sum: Vec4 = texels.iter().zip(weights).map(|(t, w)| *t * w).sum();
-        let total: f32 = if self.by_alpha { weights.iter().sum() } else { 1.0 };
-        (sum / total).truncate().extend(alpha)
     }
 
     /// A texel, in linear light; alpha is 1 where there is none.
@@ -126,6 +123,58 @@ impl<'a> Sampler<'a> {
             TexelFormat::RgbF16 => Vec4::new(half(0), half(1), half(2), 1.0),
             TexelFormat::RgbaF16 => Vec4::new(half(0), half(1), half(2), half(3).min(1.0)),
         }
+    }
+}
+
+/// Of texels under a footprint.
+#[derive(Default)]
+struct Sum {
+    /// Colours times their shares; the sum of these.
+    color: Vec4,
+    /// Alpha times weight.
+    alpha: f32,
+    weight: f32,
+}
+
+/// The middle of part i of n, from one half below to one half above 0.
+fn middle(i: u32, n: u32) -> f64 {
+    (f64::from(i) + 0.5) / f64::from(n) - 0.5
+}
+
+/// The border of a chart near a texel of the tile: source texels beyond are of other charts, or of none.
+pub(super) struct Rim<'a> {
+    /// Edges in texels of the tile; the chart is on the side of positive cross products.
+    edges: &'a [[DVec2; 2]],
+    /// From source texels to texels of the tile.
+    to_tile: DAffine2,
+}
+
+impl<'a> Rim<'a> {
+    /// `None` without edges, and where the image is flat on the tile.
+    pub fn new(edges: &'a [[DVec2; 2]], footprint: &Footprint, place: DVec2, corner: DVec2) -> Option<Rim<'a>> {
+        let inverse = footprint.matrix.inverse();
+        let usable = !edges.is_empty() && inverse.is_finite() && footprint.matrix.determinant().abs() > 1e-6;
+        let to_tile = DAffine2::from_mat2_translation(inverse, corner - inverse * place);
+        usable.then_some(Rim { edges, to_tile })
+    }
+
+    /// Whether a point of the source is in the chart: on the inner side of the nearest edge.
+    fn keeps(&self, source: DVec2) -> bool {
+        let at = self.to_tile.transform_point2(source);
+        let mut nearest = (f64::INFINITY, 0.0);
+        for &[a, b] in self.edges {
+            let along = b - a;
+            let side = along.perp_dot(at - a) / along.length();
+            let on_edge = a + along * ((at - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+            let distance = at.distance_squared(on_edge);
+            // of two edges that meet in the nearest point, the one that is seen less obliquely decides
+            let same = (distance - nearest.0).abs() <= 1e-9 * (1.0 + distance);
+            let decides = if same { side.abs() > f64::abs(nearest.1) } else { distance < nearest.0 };
+            if decides {
+                nearest = (distance, side);
+            }
+        }
+        nearest.1 >= -ON_RIM
     }
 }
 

@@ -242,3 +242,23 @@ fn border_texels_show_what_lies_beyond_open_edges_and_repeat_the_chart_at_others
     let [r, g, b] = pixel(&source, 16, 10);
     assert_eq!(at(&scene, 16, 10), [r, g, b, 255]);
 }
+
+#[test]
+fn nothing_from_beyond_a_chart_of_the_source_comes_in_at_any_density_or_turn() {
+    // a green diamond on red: source texels with centres in the diamond are green
+    let green = |x: f64, y: f64| (x - 64.0).abs() + (y - 64.0).abs() <= 40.0;
+    let texel =
+        |i: u32| if green(f64::from(i % 128) + 0.5, f64::from(i / 128) + 0.5) { [0, 255, 0] } else { [255, 0, 0] };
+    let source = image(128, 128, TexelFormat::Rgb8, (0..128 * 128).flat_map(texel).collect());
+    for (scale, turn) in [(0.3, 0.0), (0.5, 0.0), (0.77, 0.4), (1.0, 0.0), (1.0, 0.9), (1.4, 0.2), (2.0, 0.1)] {
+        let mut scene = Scene::with_image(256, Slot::BaseColor, source.clone());
+        let (sin, cos) = f64::sin_cos(turn);
+        let corners = [[0.0, -40.0], [40.0, 0.0], [0.0, 40.0], [-40.0, 0.0f64]];
+        let tile = corners.map(|[x, y]| [128.0 + scale * (x * cos - y * sin), 128.0 + scale * (x * sin + y * cos)]);
+        scene.quad(tile, corners.map(|c| c.map(|x| ((64.0 + x) / 128.0) as f32)), WHITE);
+        let mips = scene.bake(MapKind::BaseColor);
+        for texels in &mips.levels {
+            assert!(rgba(texels).iter().all(|t| *t == [0, 255, 0, 255]), "scale {scale}, turn {turn}");
+        }
+    }
+}
