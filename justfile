@@ -20,6 +20,10 @@ bench-bake *MESHES:
 bench-levels *MESHES:
     tools/bench-levels {{MESHES}}
 
+# each textured model beside a renderer of its source at full resolution: FLIP, errors, sizes
+bench-textures *MODELS:
+    tools/bench-textures {{MODELS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

@@ -12,6 +12,7 @@ mod random;
 mod reference;
 mod speed;
 mod textured;
+mod textures;
 mod watertight;
 
 use std::path::PathBuf;
@@ -106,6 +107,10 @@ enum Measurement {
     Compare(compare::Arguments),
     /// Changes between neighbouring frames of two flights along one path, the second drawn by the reference.
     Pops(pops::Arguments),
+    /// pb-bake and pb-view beside the reference on one textured model, near, close and far.
+    Textures(textures::Arguments),
+    /// The heading of the table that `textures --markdown` continues.
+    TexturesHeading,
     /// Make a textured mesh from a seed.
     Textured(textured::Arguments),
 }
@@ -168,6 +173,8 @@ fn run(command: Measurement) -> Result<bool> {
         Measurement::Flypath(arguments) => println!("{:#}", flights::run(&arguments)?),
         Measurement::Compare(arguments) => println!("{:#}", compare::run(&arguments)?),
         Measurement::Pops(arguments) => println!("{:#}", pops::run(&arguments)?),
+        Measurement::Textures(arguments) => textures::run(&arguments)?,
+        Measurement::TexturesHeading => println!("{}", textures::HEADING),
         Measurement::Textured(arguments) => println!("{:#}", textured::run(&arguments)?),
     }
     Ok(true)

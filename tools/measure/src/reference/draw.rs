@@ -12,7 +12,7 @@ use super::image::{linear_of_srgb, srgb_byte};
 use super::scene::{Scene, Triangle};
 
 /// What pb-view shows where nothing is, sRGB.
-const BACKGROUND: [u8; 3] = [38, 42, 48];
+pub const BACKGROUND: [u8; 3] = [38, 42, 48];
 /// The four samples of a pixel at which adapters look for edges.
 const FOUR: [[f64; 2]; 4] = [[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.625, 0.875]];
 /// Side of the squares that threads draw, pixels.

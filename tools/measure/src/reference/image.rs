@@ -141,6 +141,7 @@ impl Image {
 
     /// Makes the mips that [`Image::trilinear`] needs: averages of 2 x 2 in linear light.
     pub fn make_mips(&mut self) {
+        self.mips.clear();
         let (mut width, mut height) = (self.width, self.height);
         while width.max(height) > 1 {
             let (w, h) = ((width / 2).max(1), (height / 2).max(1));

@@ -13,7 +13,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 
 use camera::Flypath;
-pub use draw::{Filter, Options, draw};
+pub use draw::{BACKGROUND, Filter, Options, draw};
 use scene::Scene;
 
 /// Where frames say how much of each pixel the model covers: a folder beside them.
@@ -53,7 +53,7 @@ pub fn parse_size(text: &str) -> Result<[usize; 2], String> {
 pub fn run(arguments: &Arguments) -> Result<serde_json::Value> {
     let mut scene = Scene::read(&arguments.model)?;
     if let Some(texture) = &arguments.texture {
-        scene.cover(image::Image::open(texture)?);
+        cover_with(&mut scene, texture)?;
     }
     let flight = Flypath::open(&arguments.flypath)?;
     let options = Options { size: arguments.size, filter: arguments.filter, grid: arguments.grid.map(usize::from) };
@@ -62,6 +62,12 @@ pub fn run(arguments: &Arguments) -> Result<serde_json::Value> {
         "frames": flight.frames(), "triangles": scene.triangles.len(),
         "images": scene.images.len(), "texels": scene.texels(),
     }))
+}
+
+/// Gives all materials without an image this one.
+pub fn cover_with(scene: &mut Scene, texture: &Path) -> Result<()> {
+    scene.cover(image::Image::open(texture)?);
+    Ok(())
 }
 
 /// All frames of a flight into a folder.
