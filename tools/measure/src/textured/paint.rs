@@ -21,12 +21,15 @@ pub trait Paint: Sync {
     fn texel(&self, x: u32, y: u32) -> [u8; 3];
 }
 
-/// The detail of a surface at `(s, t)`, texels on the surface: smooth gradients everywhere, and on top letters,
-/// a checkerboard of 3 texels, grain, or nothing.
-pub fn detail(s: f64, t: f64, place: [f64; 3], seed: u64) -> [u8; 3] {
-    let slow = |k: u64| 0.5 + 0.35 * noise(place.map(|x| x * 2.5), seed ^ (k + 11));
-    let base: [f64; 3] =
-        std::array::from_fn(|k| slow(k as u64) + 0.08 * octaves(place.map(|x| x * 20.0), seed, 4, 0.6));
+/// Colours that change slowly over a surface, with some grain, 0 to 1.
+pub fn slow(place: [f64; 3], seed: u64) -> [f64; 3] {
+    let grain = 0.08 * octaves(place.map(|x| x * 20.0), seed, 4, 0.6);
+    std::array::from_fn(|k| 0.5 + 0.35 * noise(place.map(|x| x * 2.5), seed ^ (k as u64 + 11)) + grain)
+}
+
+/// The detail of a surface at `(s, t)`, texels on the surface: on top of slow colours letters, a checkerboard of 3
+/// texels, noise, or nothing.
+pub fn detail(s: f64, t: f64, base: [f64; 3], seed: u64) -> [u8; 3] {
     let patch = hash((s / PATCH).floor() as i64, (t / PATCH).floor() as i64, seed);
     let factor = match patch % 5 {
         0 => letters(s, t, seed),
