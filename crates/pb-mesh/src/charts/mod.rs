@@ -16,12 +16,18 @@ mod outline;
 mod pack;
 mod piece;
 mod relax;
+mod source;
 mod stretch;
 #[cfg(test)]
 mod tests;
 
 pub use auto::{AutoOptions, ChartReport, auto_charts};
 pub use pack::{Fit, MAX_TILE, MIN_GAP_TEXELS, MIN_TILE, PackOptions, Packed, Placement, pack};
+
+pub use source::{
+    FEW_EXTRA_CHARTS, MAX_ANISOTROPY, MAX_DENSITY_SPREAD, MAX_SELF_OVERLAP, MIN_TRIANGLES_PER_EXTRA_CHART,
+    SourceReport, source_charts,
+};
 
 /// One cluster's triangles in local indices.
 #[derive(Clone, Copy, Debug)]

@@ -3,6 +3,7 @@
 mod auto;
 mod pack;
 mod shapes;
+mod source;
 
 use super::piece::{NONE, Piece, next, partners};
 use super::{Charts, ClusterSurface, signed_area2};
