@@ -1,7 +1,8 @@
 //! A cluster in, charts out, as pb-bake demands them: as large as the surface they stand for, counter-clockwise, every
-//! triangle in one. What xatlas leaves out or turns over becomes a chart of its own; charts that stretch too much are
-//! cut again.
+//! triangle in one. What xatlas leaves out, turns over or lays over others becomes a chart of its own; charts that stretch
+//! too much or lie over themselves in many places are cut again.
 
+use crate::overlap::overlaps;
 use crate::wire::{Charts, Options, Request, doubled_area};
 use crate::xatlas;
 
@@ -11,6 +12,9 @@ const ROUNDS: u32 = 4;
 const LOST: f64 = 1e-4;
 /// How far the area of a chart may be from that of its surface, as a factor.
 const MAX_GROWTH: f64 = 2.0;
+
+/// A chart with more than one in so many triangles over others is cut again.
+const MANY: usize = 16;
 
 /// One chart: triangles of the cluster, and where their corners are.
 struct Chart {
@@ -86,11 +90,22 @@ impl<'a> Cluster<'a> {
         for chart in found.into_iter().filter(|c| !c.triangles.is_empty()) {
             let settled = self.settle(chart, charts);
             let Some((chart, stretch)) = settled else { continue };
-            if rounds > 0 && chart.triangles.len() > 1 && stretch > self.options.max_stretch as f64 {
+            let over = self.over_others(&chart);
+            let bad = stretch > self.options.max_stretch as f64 || over.len() > chart.triangles.len() / MANY;
+            if bad && rounds > 0 && chart.triangles.len() > 1 {
                 self.cut(chart.triangles, cost / 2.0, rounds - 1, charts)?;
-            } else {
-                charts.push(chart);
+                continue;
             }
+            let mut kept = Chart { triangles: Vec::new(), uv: Vec::new() };
+            for (i, (&t, &uv)) in chart.triangles.iter().zip(&chart.uv).enumerate() {
+                if over.binary_search(&i).is_ok() {
+                    charts.push(self.alone(t));
+                } else {
+                    kept.triangles.push(t);
+                    kept.uv.push(uv);
+                }
+            }
+            charts.push(kept);
         }
         Ok(())
     }
@@ -159,6 +174,18 @@ impl<'a> Cluster<'a> {
         };
         let sum: f64 = (0..3).map(|k| slope(k, 0).powi(2) + slope(k, 1).powi(2)).sum();
         if area == 0.0 { Some(0.0) } else { Some(sum / 2.0 * area).filter(|s| s.is_finite()) }
+    }
+
+    /// Members of a chart without which it would not lie over itself, ascending; never all of them.
+    fn over_others(&self, chart: &Chart) -> Vec<usize> {
+        let mut out = vec![false; chart.triangles.len()];
+        for (a, b) in overlaps(&chart.uv) {
+            if !out[a] && !out[b] {
+                let smaller = if doubled_area(&chart.uv[a]) < doubled_area(&chart.uv[b]) { a } else { b };
+                out[smaller] = true;
+            }
+        }
+        (0..out.len()).filter(|i| out[*i]).collect()
     }
 
     /// A triangle by itself, as it is.

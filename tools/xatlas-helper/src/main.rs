@@ -5,6 +5,8 @@
 //! itself when a request's time is over or memory grows beyond a bound. It opens no file.
 
 mod cut;
+#[path = "../../../crates/pb-bake/src/xatlas/overlap.rs"]
+mod overlap;
 #[path = "../../../crates/pb-bake/src/xatlas/wire.rs"]
 #[allow(dead_code)] // each program encodes what the other decodes
 mod wire;

@@ -1,5 +1,6 @@
 //! Charts from outside are checked like a file, before anything relies on them.
 
+use super::overlap::overlaps;
 use super::wire::{Charts, doubled_area};
 use thiserror::Error;
 
@@ -48,6 +49,16 @@ pub enum AnswerFault {
         /// A triangle at the tear.
         triangle: usize,
     },
+    /// A chart lies over itself.
+    #[error("chart {chart} lies over itself at the triangles {first} and {second}")]
+    Overlap {
+        /// The chart.
+        chart: u32,
+        /// One of the triangles.
+        first: u32,
+        /// The other.
+        second: u32,
+    },
     /// A chart is not as large as what it stands for.
     #[error("chart {chart} has {flat} units of area for {surface} of surface, and is {length} long")]
     Size {
@@ -64,7 +75,7 @@ pub enum AnswerFault {
 
 /// Checks charts of a mesh whose indices are good: every triangle in one chart, no chart empty; numbers that are
 /// numbers; counter-clockwise (zero area is allowed); one place per vertex and chart; sizes within a factor of the
-/// surface's. What it does not see: a chart that overlaps itself.
+/// surface's; no two triangles of a chart over each other.
 pub fn check(positions: &[[f32; 3]], triangles: &[[u32; 3]], charts: &Charts) -> Result<(), AnswerFault> {
     let found = charts.chart_of.len().min(charts.uv.len());
     if found != triangles.len() || charts.chart_of.len() != charts.uv.len() {
@@ -96,6 +107,10 @@ pub fn check(positions: &[[f32; 3]], triangles: &[[u32; 3]], charts: &Charts) ->
         expected += 1;
         check_continuity(triangles, charts, members, &mut places)?;
         check_size(positions, triangles, charts, members)?;
+        let flat: Vec<_> = members.iter().map(|t| charts.uv[*t as usize]).collect();
+        if let Some(&(first, second)) = overlaps(&flat).first() {
+            return Err(AnswerFault::Overlap { chart, first: members[first], second: members[second] });
+        }
     }
     if expected == charts.count { Ok(()) } else { Err(AnswerFault::Empty(expected)) }
 }

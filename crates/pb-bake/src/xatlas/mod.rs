@@ -8,6 +8,7 @@
 mod check;
 mod fault;
 mod find;
+mod overlap;
 mod pool;
 mod process;
 pub mod wire;

@@ -87,3 +87,19 @@ fn charts_of_absurd_size_are_refused() {
     let long = answer_fault(|c| c.uv.iter_mut().flatten().for_each(|p| *p = [p[0] * 1e4, p[1] * 1e-4]));
     assert!(matches!(long, AnswerFault::Size { .. }), "{long}");
 }
+
+#[test]
+fn charts_that_lie_over_themselves_are_refused() {
+    // In two charts they may; in one they may touch.
+    let positions =
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0]];
+    let triangles = [[0, 1, 2], [3, 4, 5]];
+    let uv = vec![[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [[0.9, 0.1], [2.5, 0.0], [1.5, 1.0]]];
+    let mut charts = Charts { chart_of: vec![0, 1], count: 2, uv };
+    assert_eq!(check(&positions, &triangles, &charts), Ok(()));
+    (charts.chart_of, charts.count) = (vec![0, 0], 1);
+    let fault = AnswerFault::Overlap { chart: 0, first: 0, second: 1 };
+    assert_eq!(check(&positions, &triangles, &charts), Err(fault));
+    charts.uv[1].iter_mut().for_each(|p| p[0] += 0.1);
+    assert_eq!(check(&positions, &triangles, &charts), Ok(()));
+}

@@ -7,3 +7,4 @@ mod fake;
 mod faults;
 mod pool;
 mod real;
+mod scans;

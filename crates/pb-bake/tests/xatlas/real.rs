@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Where PB_XATLAS says, or among the release programs.
-fn helper() -> Option<Helper> {
+pub fn helper() -> Option<Helper> {
     let built = || Some(PathBuf::from(env!("CARGO_BIN_EXE_pb-bake")).parent()?.parent()?.join("release/pb-xatlas"));
     let path = std::env::var_os("PB_XATLAS").map(PathBuf::from).or_else(built).filter(|p| p.is_file());
     if path.is_none() {
