@@ -5,3 +5,4 @@ mod bake;
 #[cfg(unix)]
 mod doctor;
 mod harness;
+mod textures;

@@ -5,7 +5,9 @@ mod fixtures;
 mod formats;
 mod gltf_scenes;
 mod hostile;
+mod images;
 mod round_trip;
+mod textured;
 
 use pb_bake::import::{Format, Import, ImportError, ImportOptions, load, load_bytes};
 use pb_mesh::mesh::{Mesh, Soup};
