@@ -251,7 +251,8 @@ fn turn_upright(charts: &mut Charts) {
     }
 }
 
-/// Gives the corners of one vertex of a chart the same bits; a triangle that this would turn over keeps its own.
+/// Gives the corners of one vertex of a chart the same bits; a triangle that this would turn over, or move by more than the
+/// tolerance (small differences add up around a vertex), keeps its own.
 fn unify(partner: &[u32], charts: &mut Charts) {
     let given = charts.uv.clone();
     let inside: Vec<u32> = (0..partner.len())
@@ -276,7 +277,8 @@ fn unify(partner: &[u32], charts: &mut Charts) {
         }
     }
     for (uv, given) in charts.uv.iter_mut().zip(&given) {
-        if signed_area2(uv) < 0.0 {
+        let near = uv.iter().flatten().zip(given.iter().flatten()).all(|(a, b)| (a - b).abs() <= TOLERANCE);
+        if !near || signed_area2(uv) < 0.0 {
             *uv = *given;
         }
     }

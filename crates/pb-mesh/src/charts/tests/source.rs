@@ -65,6 +65,19 @@ fn a_jump_of_coordinates_is_a_seam_and_rounding_is_not() {
 }
 
 #[test]
+fn small_differences_do_not_add_up_around_a_vertex() {
+    // Six triangles around vertex 4 of a grid; the coordinates of that vertex drift by 0.01 texels from one to the next.
+    let shape = shapes::grid([2, 2], [false; 2], |u, v| [u, v, 0.0]);
+    let mut uv = planar(&shape, 64.0);
+    let order = [7, 6, 3, 0, 1, 4];
+    for (i, t) in order.into_iter().enumerate() {
+        let k = shape.triangles[t].iter().position(|v| *v == 4).unwrap();
+        uv[t][k][0] += 0.01 * i as f32;
+    }
+    checked(&shape, &uv, &[0; 8]);
+}
+
+#[test]
 fn images_are_never_mixed() {
     let shape = sheet();
     let key: Vec<u32> = (0..128).map(|t| t / 64).collect();
