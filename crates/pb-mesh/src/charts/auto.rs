@@ -49,6 +49,9 @@ pub struct ChartReport {
 /// Weight of place against normals where a part is cut for its stretch, and where it lies on itself.
 const PLACE: [f64; 2] = [0.3, 3.0];
 
+/// Notches of the border above this angle inside, in radians, are filled; the second where a layout lay on itself.
+const WIDE: [f64; 2] = [3.9, 3.4];
+
 /// Makes charts for a cluster. `key_of`: per triangle what charts must not mix. Coordinates are in the unit of the
 /// positions; the area of each chart is that of its triangles.
 ///
@@ -136,15 +139,11 @@ impl Builder<'_> {
             }
         };
         let disc = opened.as_ref().unwrap_or(whole);
-        let (uv, stretch) = flatten(&fill_notches(disc), self.options.max_stretch)?;
-        let uv = to_single(&uv, &stretch);
-        let exact: Vec<DVec2> = uv.iter().map(|p| DVec2::from_array(p.map(f64::from))).collect();
-        if disc.triangles.iter().any(|t| signed_area2(&t.map(|v| uv[v as usize])) <= 0.0) {
-            return Err(Failure::Turned);
+        let mut laid = self.lay_out(disc, WIDE[0]);
+        if matches!(laid, Err(Failure::Overlap)) {
+            laid = self.lay_out(disc, WIDE[1]).map_err(|_| Failure::Overlap);
         }
-        if overlaps(disc, &exact) {
-            return Err(Failure::Overlap);
-        }
+        let (uv, stretch) = laid?;
         for (&f, t) in disc.faces.iter().zip(&disc.triangles) {
             self.charts.uv[f as usize] = t.map(|v| uv[v as usize]);
             self.charts.chart_of[f as usize] = self.charts.count;
@@ -152,6 +151,17 @@ impl Builder<'_> {
         self.report.cut_open += u32::from(opened.is_some());
         self.finish(&stretch);
         Ok(())
+    }
+
+    /// Coordinates of `disc`, without turned triangles, too much stretch or overlap.
+    fn lay_out(&self, disc: &Piece, wide: f64) -> Result<(Vec<[f32; 2]>, Stretch), Failure> {
+        let (uv, stretch) = flatten(&fill_notches(disc, wide), self.options.max_stretch)?;
+        let uv = to_single(&uv, &stretch);
+        if disc.triangles.iter().any(|t| signed_area2(&t.map(|v| uv[v as usize])) <= 0.0) {
+            return Err(Failure::Turned);
+        }
+        let exact: Vec<DVec2> = uv.iter().map(|p| DVec2::from_array(p.map(f64::from))).collect();
+        if overlaps(disc, &exact) { Err(Failure::Overlap) } else { Ok((uv, stretch)) }
     }
 
     fn finish(&mut self, stretch: &Stretch) {

@@ -19,6 +19,8 @@ const CONVERGED: f64 = 1e-4;
 const TELLING: usize = 96;
 /// How much more stretch than allowed is hopeless in a coarser version.
 const HOPELESS: f64 = 1.08;
+/// Weight of air, which only has to stay upright.
+const AIR: f64 = 0.1;
 /// Gauss-Seidel rounds of the first layout.
 const TUTTE_ROUNDS: usize = 400;
 
@@ -180,7 +182,8 @@ impl Layout<'_> {
 
     /// Sweeps over all vertices of a version; its stretch after that.
     fn relax(&mut self, level: &Level, sweeps: usize) -> Stretch {
-        let rests: Vec<Rest> = level.triangles.iter().map(|t| self.rest(t)).collect();
+        let mut rests: Vec<Rest> = level.triangles.iter().map(|t| self.rest(t)).collect();
+        rests[level.real..].iter_mut().for_each(|r| r.cot = r.cot.map(|c| c * AIR));
         let mut start = vec![0u32; self.points.len() + 1];
         level.triangles.iter().flatten().for_each(|&v| start[v as usize + 1] += 1);
         (0..self.points.len()).for_each(|v| start[v + 1] += start[v]);

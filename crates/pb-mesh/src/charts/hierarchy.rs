@@ -26,8 +26,10 @@ pub(super) struct Removal {
 
 /// Triangles of one version, and around which vertices they lie.
 pub(super) struct Level {
-    /// Vertex indices are those of the disc in all versions.
+    /// Vertex indices are those of the disc in all versions. Those of the surface come first.
     pub triangles: Vec<[u32; 3]>,
+    /// How many triangles are of the surface.
+    pub real: usize,
     /// Vertices that are used, ascending.
     pub vertices: Vec<u32>,
     /// Removals that led from this version to the next, in order.
@@ -76,7 +78,8 @@ impl Hierarchy {
         let mut touched = vec![u32::MAX; n];
         loop {
             let triangles = work.living();
-            let mut level = Level { triangles, vertices, removals: Vec::new() };
+            let real = work.living_before(disc.real);
+            let mut level = Level { triangles, real, vertices, removals: Vec::new() };
             if level.vertices.len() > COARSEST {
                 work.round(&mut level, &mut hierarchy, &mut touched);
             }
@@ -87,7 +90,8 @@ impl Hierarchy {
             if !enough && removed > 0 {
                 // The few removals still count: one more version, which is the last.
                 hierarchy.levels.push(level);
-                let last = Level { triangles: work.living(), vertices, removals: Vec::new() };
+                let real = work.living_before(disc.real);
+                let last = Level { triangles: work.living(), real, vertices, removals: Vec::new() };
                 hierarchy.levels.push(last);
                 return hierarchy;
             }
@@ -102,6 +106,10 @@ impl Hierarchy {
 impl Work<'_> {
     fn living(&self) -> Vec<[u32; 3]> {
         self.triangles.iter().zip(&self.dead).filter(|(_, dead)| !**dead).map(|(t, _)| *t).collect()
+    }
+
+    fn living_before(&self, end: usize) -> usize {
+        self.dead[..end].iter().filter(|dead| !**dead).count()
     }
 
     /// Removes vertices that are not neighbours of each other, the cheapest first.

@@ -6,8 +6,6 @@ use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 
-/// Border vertices with a larger angle inside, in radians, are filled.
-const WIDE: f64 = 3.9;
 /// Borders of this many vertices are left.
 const SHORTEST: usize = 6;
 
@@ -23,8 +21,8 @@ pub(super) struct Disc {
     pub on_border: Vec<bool>,
 }
 
-/// Adds air to `piece`, which is a disc.
-pub(super) fn fill_notches(piece: &Piece) -> Disc {
+/// Adds air to `piece`, which is a disc, where the angle inside a border vertex is above `wide` radians.
+pub(super) fn fill_notches(piece: &Piece, wide: f64) -> Disc {
     let outline: Vec<u32> = piece.outline().iter().map(|&h| piece.start(h)).collect();
     let mut disc = Disc {
         triangles: piece.triangles.clone(),
@@ -53,7 +51,7 @@ pub(super) fn fill_notches(piece: &Piece) -> Disc {
     let mut left = n;
     // Angles are positive, so their bits sort as they do. An entry is stale where the angle has grown.
     let mut queue: BinaryHeap<(u64, Reverse<usize>)> =
-        (0..n).filter(|&i| angles[i] > WIDE).map(|i| (angles[i].to_bits(), Reverse(i))).collect();
+        (0..n).filter(|&i| angles[i] > wide).map(|i| (angles[i].to_bits(), Reverse(i))).collect();
     while let Some((bits, Reverse(i))) = queue.pop() {
         let (p, q) = (before[i], after[i]);
         let stale = angles[i].to_bits() != bits || !disc.on_border[outline[i] as usize];
@@ -68,7 +66,7 @@ pub(super) fn fill_notches(piece: &Piece) -> Disc {
         (after[p], before[q]) = (q, p);
         for (j, k) in [(p, 0), (q, 1)] {
             angles[j] += angle_at(&disc.points, air, k);
-            if angles[j] > WIDE {
+            if angles[j] > wide {
                 queue.push((angles[j].to_bits(), Reverse(j)));
             }
         }
