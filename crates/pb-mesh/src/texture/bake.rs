@@ -1,7 +1,7 @@
 //! From the textured surface of one cluster to the finest mip of its tile, for one map.
 
 use super::color::{Coding, SRGB, Texels};
-use super::coverage::{BorderTexel, Coverage, NONE, TileLayout, neighbours};
+use super::coverage::{Coverage, NONE, TileLayout};
 use super::image::Image;
 use super::mips::{Mips, coarser};
 use super::normal::{Derivatives, in_tile, perturbed};
@@ -129,8 +129,7 @@ pub fn bake_tile(
     let coding = options.coding(map);
     let mut texels = Texels::zeros(coding, (layout.size * layout.size) as usize);
     baker.fill_insides(coverage, |texel, value| texels.set(coding, texel as usize, value));
-    let repeated = baker.fill_borders(coverage, |texel, value| texels.set(coding, texel as usize, value));
-    texels.copy(&repeated);
+    baker.fill_borders(coverage, |texel, value| texels.set(coding, texel as usize, value));
     let cut_out = map == MapKind::BaseColor && source.materials.iter().any(|m| m.alpha_cutoff.is_some());
     match only_value(&texels, coverage, coding) {
         Some(value) => Mips::constant(coding, value),
@@ -183,10 +182,10 @@ impl<'a> Baker<'a> {
         }
     }
 
-    /// Returns the texels that are to repeat others of their chart: (from, to).
-    fn fill_borders(&self, coverage: &Coverage, mut set: impl FnMut(u32, Vec4)) -> Vec<(u32, u32)> {
+    /// The texels around charts: beyond open edges the image goes on, at others it is that of the nearest point.
+    fn fill_borders(&self, coverage: &Coverage, mut set: impl FnMut(u32, Vec4)) {
         let size = self.layout.size;
-        let (mut repeated, mut rim) = (Vec::new(), Vec::new());
+        let mut rim = Vec::new();
         for group in coverage.border.chunk_by(|a, b| a.triangle == b.triangle) {
             let triangle = group[0].triangle as usize;
             let patch = self.patch(triangle);
@@ -195,15 +194,12 @@ impl<'a> Baker<'a> {
                 let at = DVec2::new(f64::from(border.texel % size), f64::from(border.texel / size)) + 0.5;
                 if open & (1 << border.edge) != 0 && patch.shape.tolerance <= MAX_EXTRAPOLATED_ERROR {
                     set(border.texel, patch.value(patch.shape.weights(at), &[]));
-                } else if let Some(from) = self.copied_neighbour(coverage, &patch, border) {
-                    repeated.push((from, border.texel));
                 } else {
                     self.rim(coverage, border.texel, &mut rim);
                     set(border.texel, patch.value(patch.shape.nearest_weights(at), &rim));
                 }
             }
         }
-        repeated
     }
 
     /// The closed edges of its chart near a texel, in texels, the chart on the side of positive cross products.
@@ -216,17 +212,6 @@ impl<'a> Baker<'a> {
             let ends = [at(usize::from(edge)), at((usize::from(edge) + 1) % 3)];
             if double_area(corners) < 0 { [ends[1], ends[0]] } else { ends }
         }));
-    }
-
-    /// A texel of the chart's inside beside a border texel, where texels are copies of the source's.
-    fn copied_neighbour(&self, coverage: &Coverage, patch: &Patch, border: &BorderTexel) -> Option<u32> {
-        let chart = self.layout.chart_of[border.triangle as usize];
-        let inside = |t: &u32| {
-            let triangle = coverage.triangles[*t as usize];
-            triangle != NONE && self.layout.chart_of[triangle as usize] == chart
-        };
-        let copies = patch.lookups.iter().flatten().any(|l| l.footprint.is_copy());
-        if copies { neighbours(self.layout.size, border.texel).find(inside) } else { None }
     }
 
     fn patch(&self, triangle: usize) -> Patch<'_> {

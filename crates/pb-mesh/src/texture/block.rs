@@ -38,7 +38,7 @@ impl BlockFormat {
 /// How long to search for the best block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Quality {
-    /// Tens of millions of texels per second and core.
+    /// More than ten million texels per second and core (BC7).
     Fast,
     /// Several millions.
     #[default]

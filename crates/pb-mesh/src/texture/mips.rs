@@ -3,14 +3,14 @@
 //! A texel of mip m is the average of those texels of mip 0 that lie under it and in the chart that owns it; texels
 //! without any take those of their chart around them. So no neighbour and no background comes into an average.
 
-use super::color::{Coding, Texels};
+use super::color::{Coding, Texels, to_unorm};
 use super::coverage::{Coverage, Level, MIN_SIZE, NONE, neighbours};
 use glam::Vec4;
 
 /// Weight of a texel of mip 0 whose centre is outside its chart: decides only where nothing else does.
 const BORDER: f32 = 1.0 / 4096.0;
 /// Weight of colour under zero alpha, likewise.
-const FAINT: f32 = 1.0 / 4096.0;
+const FAINT: f32 = 1e-6;
 /// The least and the most that alpha is multiplied with to keep the area of holes.
 const ALPHA_GAIN: std::ops::RangeInclusive<f32> = 0.5..=4.0;
 /// Alpha from which on a texel is seen.
@@ -165,15 +165,19 @@ fn seen_part(coverage: &Coverage, coding: Coding, finest: &Texels) -> Option<f32
 
 /// What alpha is multiplied with so that the wanted part of the area is seen (Castaño 2010, "Computing alpha mipmaps").
 fn alpha_gain(owned: &[(u32, f32, Vec4)], seen: f32) -> f32 {
-    let mut alphas: Vec<(f32, f32)> = owned.iter().map(|(_, weight, value)| (value.w, *weight)).collect();
-    alphas.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1)));
-    let wanted = alphas.iter().map(|a| a.1).sum::<f32>() * seen;
-    let mut sum = 0.0;
-    for (alpha, weight) in alphas {
-        sum += weight;
-        if sum >= wanted {
-            return (0.502 / alpha.max(1e-6)).clamp(*ALPHA_GAIN.start(), *ALPHA_GAIN.end());
+    let mut area = [0.0f32; 256];
+    owned.iter().for_each(|(_, weight, value)| area[usize::from(to_unorm(value.w))] += weight);
+    let wanted = area.iter().sum::<f32>() * seen;
+    let mut above = 0.0;
+    for alpha in (1..=255).rev() {
+        let with = above + area[alpha];
+        if with >= wanted {
+            // seen from this alpha on, or from the next that occurs, whichever comes nearer
+            let next = (alpha + 1..=255).find(|&a| area[a] > 0.0).filter(|_| wanted - above < with - wanted);
+            let gain = SEEN * 255.0 * 1.004 / next.unwrap_or(alpha) as f32;
+            return gain.clamp(*ALPHA_GAIN.start(), *ALPHA_GAIN.end());
         }
+        above = with;
     }
     1.0
 }
@@ -181,14 +185,17 @@ fn alpha_gain(owned: &[(u32, f32, Vec4)], seen: f32) -> f32 {
 /// Gives holes the colour of what is around them, from coarse to fine: interpolation must not bring in what the image
 /// has under zero alpha.
 fn color_holes(coding: Coding, levels: &mut [Texels]) {
-    for mip in (0..levels.len() - 1).rev() {
-        let (fine, coarse) = levels.split_at_mut(mip + 1);
-        let (fine, coarse) = (&mut fine[mip], &coarse[0]);
-        let side = (fine.len() as f64).sqrt() as usize;
+    let last = levels.len() - 1;
+    let seen = (0..levels[last].len()).map(|i| levels[last].get(coding, i));
+    let sum: Vec4 = seen.map(|t| (t * t.w).with_w(t.w)).sum();
+    for mip in (0..=last).rev() {
+        let (fine, coarser) = levels.split_at_mut(mip + 1);
+        let fine = &mut fine[mip];
+        let side = fine.len().isqrt();
         for i in 0..fine.len() {
-            let texel = fine.get(coding, i);
-            if texel.w == 0.0 {
-                let above = coarse.get(coding, (i / side / 2) * (side / 2) + i % side / 2);
+            if fine.get(coding, i).w == 0.0 {
+                let parent = (i / side / 2) * (side / 2) + i % side / 2;
+                let above = coarser.first().map_or(sum / sum.w.max(1e-6), |c| c.get(coding, parent));
                 fine.set(coding, i, above.with_w(0.0));
             }
         }

@@ -13,7 +13,7 @@ const ON_CENTRE: f64 = 1.0 / 16.0;
 /// Source texels whose centres are this little outside a chart are in it, texels of the tile.
 const ON_RIM: f64 = 1.0 / 64.0;
 /// Weight of colour under zero alpha: decides only where nothing else does.
-const FAINT: f32 = 1.0 / 4096.0;
+const FAINT: f32 = 1e-6;
 /// Coordinates beyond are not told apart, source texels.
 const FAR: f64 = 1e12;
 
@@ -215,10 +215,5 @@ impl Footprint {
             .iter()
             .any(|unit| axes.iter().zip(unit).all(|(&a, &b)| close(a, b)));
         Footprint { matrix, samples: [count(matrix.x_axis), count(matrix.y_axis)], copy }
-    }
-
-    /// Whether texels at the centres of source texels are copies.
-    pub fn is_copy(&self) -> bool {
-        self.copy
     }
 }
