@@ -18,13 +18,16 @@ mod state;
 use crate::{ChunkId, Want};
 use state::{Ram, Vram};
 
+/// VRAM comes in pools that lend nothing to one another: a buffer for geometry, pages for textures.
+pub const POOLS: usize = 2;
+
 /// Bounds of the cache. Bytes are those of decoded chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Decoded chunks in RAM and on their way there.
     pub ram_bytes: u64,
-    /// Chunks in VRAM and on their way there.
-    pub vram_bytes: u64,
+    /// Chunks in VRAM and on their way there, by pool.
+    pub vram_bytes: [u64; POOLS],
     /// Most loads that are asked for and not answered.
     pub loads_in_flight: u32,
     /// Most bytes that one frame begins to upload (at least one chunk, though).
@@ -33,7 +36,7 @@ pub struct Limits {
 
 impl Limits {
     /// Loads enough for a disk queue and a few threads; uploads that keep a frame short.
-    pub fn new(ram_bytes: u64, vram_bytes: u64) -> Self {
+    pub fn new(ram_bytes: u64, vram_bytes: [u64; POOLS]) -> Self {
         Self { ram_bytes, vram_bytes, loads_in_flight: 64, upload_bytes_per_frame: 32 << 20 }
     }
 }
@@ -41,9 +44,13 @@ impl Limits {
 /// What the cache knows of a chunk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ChunkInfo {
-    /// Size in RAM and in VRAM.
-    pub bytes: u32,
-    /// The chunk without which this one cannot be drawn; chains end.
+    /// Size in RAM.
+    pub ram_bytes: u32,
+    /// Size in VRAM, or what it counts for in its pool.
+    pub vram_bytes: u64,
+    /// Which pool of VRAM it belongs to, below [`POOLS`].
+    pub pool: usize,
+    /// The chunk of the same pool without which this one cannot be drawn; chains end.
     pub coarser: Option<ChunkId>,
     /// Always wanted, before all else, and never retired.
     pub pinned: bool,
@@ -122,8 +129,10 @@ pub struct Cache {
     retiring: Vec<bool>,
     stats: CacheStats,
     frame: u64,
-    /// Part of VRAM that uploads were refused for (a fragmented heap); shrinks again with time.
-    lost_bytes: u64,
+    /// By pool: in VRAM and on the way there.
+    vram_bytes: [u64; POOLS],
+    /// By pool: the part that uploads were refused for (a fragmented heap); shrinks again with time.
+    lost_bytes: [u64; POOLS],
     /// Uploads that failed since one worked.
     failures_in_a_row: u32,
     idle: bool,
@@ -136,17 +145,21 @@ impl Cache {
     /// A cache with nothing in it.
     ///
     /// # Panics
-    /// If a chain of coarser chunks names a chunk that does not exist, or a pinned chunk has a coarser one that is
-    /// not pinned.
+    /// If a chain of coarser chunks names a chunk that does not exist or of another pool, or a pinned chunk has a
+    /// coarser one that is not pinned.
     pub fn new(info: Vec<ChunkInfo>, limits: Limits) -> Result<Self, LimitsError> {
         let coarser = |c: &ChunkInfo| c.coarser.map(|c| info[c.0 as usize]);
         assert!(info.iter().all(|c| !c.pinned || coarser(c).is_none_or(|c| c.pinned)), "pinned chunks stand on others");
+        assert!(info.iter().all(|c| coarser(c).is_none_or(|k| k.pool == c.pool)), "a chain lies in one pool");
         let pinned: Vec<ChunkId> = (0..info.len() as u32).map(ChunkId).filter(|c| info[c.0 as usize].pinned).collect();
-        let needed: u64 = pinned.iter().map(|c| info[c.0 as usize].bytes as u64).sum();
-        if needed > limits.vram_bytes {
-            return Err(LimitsError::Vram { bound: limits.vram_bytes, needed });
+        for (pool, &bound) in limits.vram_bytes.iter().enumerate() {
+            let here = pinned.iter().map(|c| &info[c.0 as usize]).filter(|c| c.pool == pool);
+            let needed = here.map(|c| c.vram_bytes).sum();
+            if needed > bound {
+                return Err(LimitsError::Vram { bound, needed });
+            }
         }
-        let largest = info.iter().map(|c| c.bytes as u64).max().unwrap_or(0);
+        let largest = info.iter().map(|c| c.ram_bytes as u64).max().unwrap_or(0);
         if largest > limits.ram_bytes {
             return Err(LimitsError::Ram { bound: limits.ram_bytes, needed: largest });
         }
@@ -165,7 +178,8 @@ impl Cache {
             retiring: vec![false; n],
             stats: CacheStats::default(),
             frame: 0,
-            lost_bytes: 0,
+            vram_bytes: [0; POOLS],
+            lost_bytes: [0; POOLS],
             failures_in_a_row: 0,
             idle: false,
         })
@@ -181,10 +195,10 @@ impl Cache {
         self.retire(&goals, &mut commands);
         self.upload(&goals, &mut commands);
         self.load(&goals, &mut commands);
-        self.lost_bytes -= self.lost_bytes.div_ceil(64);
+        self.lost_bytes = self.lost_bytes.map(|lost| lost - lost.div_ceil(64));
         let s = &self.stats;
         let still = commands.is_empty() && s.loads_in_flight + s.uploads_in_flight + s.retiring == 0;
-        self.idle = still && (self.lost_bytes == 0 || self.failures_in_a_row >= MAX_FAILURES);
+        self.idle = still && (self.lost_bytes == [0; POOLS] || self.failures_in_a_row >= MAX_FAILURES);
         commands
     }
 
@@ -215,8 +229,9 @@ impl Cache {
         self.idle = false;
         self.failures_in_a_row += 1;
         self.set_vram(chunk, Vram::Uploading, Vram::Absent);
-        let bytes = self.info[chunk.0 as usize].bytes as u64;
-        self.lost_bytes = (self.lost_bytes + 2 * bytes).min(self.limits.vram_bytes / 2);
+        let info = &self.info[chunk.0 as usize];
+        let lost = &mut self.lost_bytes[info.pool];
+        *lost = (*lost + 2 * info.vram_bytes).min(self.limits.vram_bytes[info.pool] / 2);
     }
 
     /// Per chunk: in VRAM, may be drawn (retiring ones included).

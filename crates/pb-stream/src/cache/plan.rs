@@ -1,7 +1,7 @@
 //! One frame's decisions, in the order in which they make room for one another.
 
 use super::state::{Ram, Vram};
-use super::{Cache, Command};
+use super::{Cache, Command, POOLS};
 use crate::{ChunkId, Class, Want};
 
 /// What the wants of a frame come to.
@@ -14,8 +14,8 @@ pub(super) struct Goals {
     ram: Vec<ChunkId>,
     /// Per chunk: is it in `ram`?
     in_ram: Vec<bool>,
-    /// All bytes of `vram`.
-    vram_bytes: u64,
+    /// All bytes of `vram`, by pool.
+    vram_bytes: [u64; POOLS],
     /// Per chunk that is wanted: its place in order of priority, from 1; 0 for the others.
     rank: Vec<u32>,
 }
@@ -38,12 +38,11 @@ impl Cache {
             in_vram: vec![false; n],
             ram: Vec::new(),
             in_ram: vec![false; n],
-            vram_bytes: 0,
+            vram_bytes: [0; POOLS],
             rank: vec![0; n],
         };
         let pinned = self.pinned.iter().map(|&chunk| Want { chunk, class: Class::Now, error_px: f32::INFINITY });
         let wants: Vec<Want> = pinned.chain(wants).collect();
-        let vram_bound = self.limits.vram_bytes - self.lost_bytes;
         for (rank, want) in wants.iter().enumerate() {
             let place = want.chunk.0 as usize;
             self.last_wanted[place] = self.frame;
@@ -51,7 +50,7 @@ impl Cache {
                 goals.rank[place] = rank as u32 + 1;
             }
             if want.class >= Class::Soon {
-                self.add_chain(want.chunk, vram_bound, &mut goals);
+                self.add_chain(want.chunk, &mut goals);
             }
         }
         self.add_ram(&wants, &mut goals);
@@ -59,14 +58,15 @@ impl Cache {
     }
 
     /// Adds a chunk and its coarser ones to the VRAM goal, all or none. Pinned chunks fit by construction.
-    fn add_chain(&self, chunk: ChunkId, bound: u64, goals: &mut Goals) {
+    fn add_chain(&self, chunk: ChunkId, goals: &mut Goals) {
         let chain: Vec<ChunkId> = self.chain(chunk).take_while(|c| !goals.in_vram[c.0 as usize]).collect();
-        let bytes: u64 = chain.iter().map(|&c| self.bytes(c)).sum();
-        let pinned = self.info[chunk.0 as usize].pinned;
-        if chain.iter().any(|c| self.failed[c.0 as usize]) || (goals.vram_bytes + bytes > bound && !pinned) {
+        let bytes: u64 = chain.iter().map(|&c| self.vram_size(c)).sum();
+        let (pinned, pool) = (self.info[chunk.0 as usize].pinned, self.info[chunk.0 as usize].pool);
+        let fits = goals.vram_bytes[pool] + bytes <= self.vram_bound(pool);
+        if chain.iter().any(|c| self.failed[c.0 as usize]) || !(fits || pinned) {
             return;
         }
-        goals.vram_bytes += bytes;
+        goals.vram_bytes[pool] += bytes;
         for &c in chain.iter().rev() {
             goals.in_vram[c.0 as usize] = true;
             goals.vram.push(c);
@@ -80,8 +80,8 @@ impl Cache {
         for chunk in candidates {
             let place = chunk.0 as usize;
             let needed = matches!(self.vram[place], Vram::Absent | Vram::Uploading) && !self.failed[place];
-            if needed && !goals.in_ram[place] && self.bytes(chunk) <= room {
-                room -= self.bytes(chunk);
+            if needed && !goals.in_ram[place] && self.ram_size(chunk) <= room {
+                room -= self.ram_size(chunk);
                 goals.in_ram[place] = true;
                 goals.ram.push(chunk);
             }
@@ -93,8 +93,17 @@ impl Cache {
         std::iter::successors(Some(chunk), |c| self.info[c.0 as usize].coarser)
     }
 
-    fn bytes(&self, chunk: ChunkId) -> u64 {
-        self.info[chunk.0 as usize].bytes as u64
+    fn ram_size(&self, chunk: ChunkId) -> u64 {
+        self.info[chunk.0 as usize].ram_bytes as u64
+    }
+
+    fn vram_size(&self, chunk: ChunkId) -> u64 {
+        self.info[chunk.0 as usize].vram_bytes
+    }
+
+    /// What may be planned with in a pool.
+    fn vram_bound(&self, pool: usize) -> u64 {
+        self.limits.vram_bytes[pool] - self.lost_bytes[pool]
     }
 
     /// Retiring chunks that are wanted again stay; released ones go, finer before coarser.
@@ -132,14 +141,21 @@ impl Cache {
     /// Asks back as much of VRAM as the goal lacks: unwanted chunks first, longest unused first, finer before
     /// coarser; then the least urgent of those that are wanted but did not fit.
     pub(super) fn retire(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
-        let leftover = |c: &ChunkId| self.vram[c.0 as usize] == Vram::Resident && !goals.in_vram[c.0 as usize];
-        let goal = goals.vram_bytes + self.uploading_outside(goals);
-        let bound = self.limits.vram_bytes - self.lost_bytes;
-        if self.stats.vram_bytes + goals.vram_bytes <= bound {
+        (0..POOLS).for_each(|pool| self.retire_in(pool, goals, commands));
+    }
+
+    fn retire_in(&mut self, pool: usize, goals: &Goals, commands: &mut Vec<Command>) {
+        let bound = self.vram_bound(pool);
+        if self.vram_bytes[pool] + goals.vram_bytes[pool] <= bound {
             return; // room for everything, whatever is there already
         }
+        let leftover = |c: &ChunkId| {
+            let place = c.0 as usize;
+            self.info[place].pool == pool && self.vram[place] == Vram::Resident && !goals.in_vram[place]
+        };
+        let goal = goals.vram_bytes[pool] + self.uploading_outside(pool, goals);
         let mut victims: Vec<ChunkId> = (0..self.info.len() as u32).map(ChunkId).filter(leftover).collect();
-        let mut kept: u64 = victims.iter().map(|&c| self.bytes(c)).sum();
+        let mut kept: u64 = victims.iter().map(|&c| self.vram_size(c)).sum();
         victims.sort_by_key(|&c| {
             let place = c.0 as usize;
             let rank = goals.rank[place];
@@ -152,7 +168,7 @@ impl Cache {
                 let place = chunk.0 as usize;
                 let stands = self.vram[place] == Vram::Resident && self.finer_staying[place] == 0;
                 if stands && goal + kept > bound {
-                    kept -= self.bytes(chunk);
+                    kept -= self.vram_size(chunk);
                     self.set_vram(chunk, Vram::Resident, Vram::Retiring);
                     commands.push(Command::Retire(chunk));
                     progress = true;
@@ -162,28 +178,34 @@ impl Cache {
     }
 
     /// Bytes of uploads under way that are no longer wanted: they will be residents soon.
-    fn uploading_outside(&self, goals: &Goals) -> u64 {
+    fn uploading_outside(&self, pool: usize, goals: &Goals) -> u64 {
         if self.stats.uploads_in_flight == 0 {
             return 0;
         }
-        let outside = |c: &ChunkId| self.vram[c.0 as usize] == Vram::Uploading && !goals.in_vram[c.0 as usize];
-        (0..self.info.len() as u32).map(ChunkId).filter(outside).map(|c| self.bytes(c)).sum()
+        let outside = |c: &ChunkId| {
+            let place = c.0 as usize;
+            self.info[place].pool == pool && self.vram[place] == Vram::Uploading && !goals.in_vram[place]
+        };
+        (0..self.info.len() as u32).map(ChunkId).filter(outside).map(|c| self.vram_size(c)).sum()
     }
 
     /// Begins uploads in order of priority. Room is kept for what is more urgent and still on its way.
     pub(super) fn upload(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
-        let mut room = self.limits.vram_bytes - self.stats.vram_bytes;
+        // None: the pool is full until something was released.
+        let mut room: [Option<u64>; POOLS] =
+            std::array::from_fn(|pool| Some(self.limits.vram_bytes[pool] - self.vram_bytes[pool]));
         let mut begun = 0;
         for &chunk in &goals.vram {
             let place = chunk.0 as usize;
             if self.vram[place] != Vram::Absent {
                 continue;
             }
-            let bytes = self.bytes(chunk);
-            if bytes > room {
-                return; // until something was released
+            let (bytes, pool) = (self.vram_size(chunk), self.info[place].pool);
+            room[pool] = room[pool].and_then(|r| r.checked_sub(bytes));
+            if room[pool].is_none() {
+                continue;
             }
-            room -= bytes;
+            let bytes = self.ram_size(chunk);
             let coarser = self.info[place].coarser;
             let ready =
                 self.ram[place] == Ram::Loaded && coarser.is_none_or(|c| self.vram[c.0 as usize] == Vram::Resident);
@@ -204,7 +226,7 @@ impl Cache {
             if self.stats.loads_in_flight >= self.limits.loads_in_flight {
                 return;
             }
-            while self.stats.ram_bytes + self.bytes(chunk) > self.limits.ram_bytes {
+            while self.stats.ram_bytes + self.ram_size(chunk) > self.limits.ram_bytes {
                 let victims = victims.get_or_insert_with(|| self.ram_victims(goals).into_iter());
                 let Some(victim) = victims.next() else { return };
                 self.set_ram(victim, Ram::Loaded, Ram::Absent);

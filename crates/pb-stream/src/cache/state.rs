@@ -28,7 +28,7 @@ impl Cache {
     /// # Panics
     /// If the chunk is not in state `from`: the caller answered a command that was not given.
     pub(super) fn set_ram(&mut self, chunk: ChunkId, from: Ram, to: Ram) {
-        let bytes = self.info[chunk.0 as usize].bytes as u64;
+        let bytes = self.info[chunk.0 as usize].ram_bytes as u64;
         let state = &mut self.ram[chunk.0 as usize];
         assert_eq!(*state, from, "{chunk:?} in RAM");
         *state = to;
@@ -42,7 +42,7 @@ impl Cache {
     /// As [`set_ram`](Cache::set_ram).
     pub(super) fn set_vram(&mut self, chunk: ChunkId, from: Vram, to: Vram) {
         let place = chunk.0 as usize;
-        let bytes = self.info[place].bytes as u64;
+        let (bytes, pool) = (self.info[place].vram_bytes, self.info[place].pool);
         assert_eq!(self.vram[place], from, "{chunk:?} in VRAM");
         self.vram[place] = to;
         let leaves = |s: Vram| matches!(s, Vram::Retiring | Vram::Released);
@@ -53,8 +53,9 @@ impl Cache {
         self.stats.retiring += leaves(to) as u32;
         self.stats.retiring -= leaves(from) as u32;
         let (was, is) = (from != Vram::Absent, to != Vram::Absent);
-        self.stats.vram_bytes += if is { bytes } else { 0 };
-        self.stats.vram_bytes -= if was { bytes } else { 0 };
+        self.vram_bytes[pool] += if is { bytes } else { 0 };
+        self.vram_bytes[pool] -= if was { bytes } else { 0 };
+        self.stats.vram_bytes = self.vram_bytes.iter().sum();
         if let Some(coarser) = self.info[place].coarser {
             self.finer_in_vram[coarser.0 as usize] += is as u32;
             self.finer_in_vram[coarser.0 as usize] -= was as u32;

@@ -10,9 +10,17 @@ fn chains(clusters: u32, levels: u32) -> Vec<ChunkInfo> {
         .map(|id| {
             let level = id % levels;
             let coarser = (level + 1 < levels).then_some(ChunkId(id + 1));
-            ChunkInfo { bytes: 100 << (levels - 1 - level), coarser, pinned: coarser.is_none() }
+            let bytes = 100u32 << (levels - 1 - level);
+            ChunkInfo { ram_bytes: bytes, vram_bytes: bytes as u64, pool: 0, coarser, pinned: coarser.is_none() }
         })
         .collect()
+}
+
+/// The same, every second cluster in the second pool.
+fn chains_in_two_pools(clusters: u32, levels: u32) -> Vec<ChunkInfo> {
+    let mut info = chains(clusters, levels);
+    info.iter_mut().enumerate().for_each(|(c, i)| i.pool = c / levels as usize % 2);
+    info
 }
 
 fn want(chunk: u32, class: Class, error_px: f32) -> Want {
@@ -20,7 +28,7 @@ fn want(chunk: u32, class: Class, error_px: f32) -> Want {
 }
 
 fn limits(ram_bytes: u64, vram_bytes: u64) -> Limits {
-    Limits { loads_in_flight: 3, upload_bytes_per_frame: 500, ..Limits::new(ram_bytes, vram_bytes) }
+    Limits { loads_in_flight: 3, upload_bytes_per_frame: 500, ..Limits::new(ram_bytes, [vram_bytes; POOLS]) }
 }
 
 /// A disk, a GPU and a view that answer commands, each at its own pace, and check every promise.
@@ -48,8 +56,9 @@ impl World {
         }
     }
 
-    fn bytes(&self, chunks: impl Iterator<Item = usize>) -> u64 {
-        chunks.map(|c| self.cache.info[c].bytes as u64).sum()
+    /// In RAM they have as many.
+    fn vram_bytes(&self, chunks: impl Iterator<Item = usize>) -> u64 {
+        chunks.map(|c| self.cache.info[c].vram_bytes).sum()
     }
 
     /// One frame; `released` is what the view gives back of what was asked back.
@@ -103,9 +112,13 @@ impl World {
         let limits = self.cache.limits();
         let indices = |list: &[ChunkId]| list.iter().map(|c| c.0 as usize).collect::<Vec<_>>();
         let set = |flags: &[bool]| (0..flags.len()).filter(|&c| flags[c]).collect::<Vec<_>>();
-        let ram = self.bytes(set(&self.in_ram).into_iter().chain(indices(&self.loading)));
-        let vram = self.bytes(set(&self.in_vram).into_iter().chain(indices(&self.uploading)));
-        assert!(ram <= limits.ram_bytes && vram <= limits.vram_bytes, "ram {ram} vram {vram} of {limits:?}");
+        let ram = self.vram_bytes(set(&self.in_ram).into_iter().chain(indices(&self.loading)));
+        assert!(ram <= limits.ram_bytes, "ram {ram} of {limits:?}");
+        for pool in 0..POOLS {
+            let there = set(&self.in_vram).into_iter().chain(indices(&self.uploading));
+            let vram = self.vram_bytes(there.filter(|&c| self.cache.info[c].pool == pool));
+            assert!(vram <= limits.vram_bytes[pool], "pool {pool} {vram} of {limits:?}");
+        }
         assert!(self.loading.len() <= limits.loads_in_flight as usize);
     }
 
@@ -190,8 +203,9 @@ proptest! {
         vram in 2100u64..5000,
         broken in prop::collection::vec(prop::bool::weighted(0.05), 24),
         lone in 0u32..24,
+        two_pools in any::<bool>(),
     ) {
-        let info = chains(6, 4);
+        let info = if two_pools { chains_in_two_pools(6, 4) } else { chains(6, 4) };
         let mut world = World::new(info.clone(), limits(ram, vram));
         world.broken = broken;
         for step in steps {
@@ -304,6 +318,29 @@ fn the_more_urgent_want_gets_the_room() {
     let mut world = World::new(chains(3, 2), limits(1000, 300 + 200));
     world.settle(&wants);
     assert_eq!([0, 2, 4].map(|c| world.in_vram[c]), [false, false, true]);
+}
+
+#[test]
+fn pools_of_vram_lend_nothing_to_one_another_and_do_not_wait_for_one_another() {
+    let limits = Limits { vram_bytes: [300, 800], ..limits(1000, 0) };
+    let mut world = World::new(chains_in_two_pools(4, 2), limits);
+    world.settle(&[
+        want(0, Class::Now, 90.0),
+        want(4, Class::Now, 80.0),
+        want(2, Class::Now, 2.0),
+        want(6, Class::Now, 1.0),
+    ]);
+    assert_eq!([0, 2, 4, 6].map(|c| world.in_vram[c]), [false, true, false, true]);
+    let limits = Limits { vram_bytes: [400, 800], ..limits };
+    let mut world = World::new(chains_in_two_pools(4, 2), limits);
+    world.settle(&[want(0, Class::Now, 90.0)]);
+    // The first pool is full of what is still shown; the second takes what is less urgent.
+    (0..9).for_each(|_| {
+        world.frame(&[want(4, Class::Now, 90.0), want(6, Class::Now, 1.0)], &[]);
+        (0..world.loading.len()).for_each(|_| world.finish_load(0));
+        (0..world.uploading.len()).for_each(|_| world.finish_upload(0, true));
+    });
+    assert_eq!([0, 4, 6].map(|c| world.in_vram[c]), [true, false, true]);
 }
 
 #[test]
