@@ -45,8 +45,12 @@ pub struct Frame<'a> {
     pub retiring: &'a [bool],
     /// Allowed error or bands.
     pub detail: Detail,
-    /// Upper bound for the bytes of all chunks that this frame wants resident; the error rises until it holds.
+    /// Upper bound for the bytes of all geometry chunks that this frame wants resident; the error rises until it
+    /// holds.
     pub vram_budget_bytes: u64,
+    /// The same for texture chunks that are not always resident: texels grow until it holds. The two lie in memory
+    /// that lends nothing to the other.
+    pub texture_budget_bytes: u64,
     /// Seconds since the last frame: how far residency floors may move. `f32::INFINITY` settles them at once.
     pub dt_secs: f32,
 }

@@ -38,7 +38,8 @@ pub struct Selector {
     floors: Floors,
     /// Where there are textures.
     texture_floors: Option<Floors>,
-    control: DetailControl,
+    /// Of geometry and of textures.
+    controls: [DetailControl; 2],
 }
 
 impl Selector {
@@ -47,7 +48,7 @@ impl Selector {
         let tables = Tables::new(tables);
         let floors = Floors::new(&tables, Ladder::Geometry);
         let texture_floors = tables.has_textures().then(|| Floors::new(&tables, Ladder::Texture));
-        Selector { tables, floors, texture_floors, control: DetailControl::default() }
+        Selector { tables, floors, texture_floors, controls: Default::default() }
     }
 
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
@@ -89,21 +90,28 @@ impl Selector {
         assert_eq!(frame.resident.len(), t.chunks(), "one residency flag per chunk");
         assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
         let eyes = Eyes::new(frame.views, frame.detail, t);
-        let finest = self.control.finest(frame.detail);
+        let finest = DetailControl::finest(&self.controls, frame.detail);
         let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), MAYBE_MARGIN);
-        let (target, now) = self.control.step(frame, |target| bytes_wanted(t, &walk, target));
+        let [geometry, textures] = &mut self.controls;
+        let budgets = [frame.vram_budget_bytes, frame.texture_budget_bytes];
+        let (target, now) = geometry.step(frame, budgets[0], |x| bytes_wanted(t, Ladder::Geometry, &walk, x));
+        let (texture_target, texels) = match t.has_textures() {
+            true => textures.step(frame, budgets[1], |x| bytes_wanted(t, Ladder::Texture, &walk, x)),
+            false => textures.step(frame, budgets[1], |_| 0),
+        };
         let drawn = Switch::new(now, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now), ..Plan::default() };
         let mut floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
         if let Some(floors) = &mut self.texture_floors {
-            floors_stand &= floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+            let shown = Switch::new(texels, 1.0, t.quantum);
+            floors_stand &= floors.step(t, &eyes, &shown, &walk, frame, &mut plan.released);
             plan.texture_floors = floors.all().to_vec();
         }
         self.draw(&walk, &eyes, &drawn, &mut plan);
-        self.want(&walk, &target, frame, &mut plan);
+        self.want(&walk, [&target, &texture_target], frame, &mut plan);
         plan.floors = self.floors.all().to_vec();
-        plan.settled = floors_stand && self.control.settled() && plan.missing_chunks == 0;
+        plan.settled = floors_stand && self.controls.iter().all(DetailControl::settled) && plan.missing_chunks == 0;
         plan
     }
 
@@ -133,15 +141,15 @@ impl Selector {
         plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
     }
 
-    /// Wanted chunks, most urgent first.
-    fn want(&self, walk: &Walk, target: &Target, frame: &Frame, plan: &mut Plan) {
-        let switch = Switch::new(target.detail, 1.0, self.tables.quantum);
-        for seen in &walk.seen {
-            let reach = seen.reach.max(seen.girth * target.nearest);
-            let seen = Seen { reach, ..*seen };
-            self.want_cluster(Ladder::Geometry, &seen, &switch, frame, plan);
-            if self.tables.has_textures() {
-                self.want_cluster(Ladder::Texture, &seen, &switch, frame, plan);
+    /// Wanted chunks, most urgent first; a target each for geometry and textures.
+    fn want(&self, walk: &Walk, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
+        let ladders = [Ladder::Geometry, Ladder::Texture];
+        let there = if self.tables.has_textures() { 2 } else { 1 };
+        for (ladder, target) in ladders.into_iter().zip(targets).take(there) {
+            let switch = Switch::new(target.detail, 1.0, self.tables.quantum);
+            for seen in &walk.seen {
+                let reach = seen.reach.max(seen.girth * target.nearest);
+                self.want_cluster(ladder, &Seen { reach, ..*seen }, &switch, frame, plan);
             }
         }
         plan.wants.sort_by(compare_wants);
@@ -196,18 +204,16 @@ fn compare_wants(a: &Want, b: &Want) -> Ordering {
     b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
 }
 
-/// Bytes in VRAM if every visible cluster is resident at the level that the target asks for.
-fn bytes_wanted(t: &Tables, walk: &Walk, target: &Target) -> u64 {
+/// Bytes in VRAM if every visible cluster is resident at the level that the target asks for, with the coarse buffer and
+/// without the tails of textures.
+fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     let finer = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
         let reach = s.reach.max(s.girth * target.nearest);
-        let bytes = |ladder| {
-            let level = t.ladder_lod(ladder, &switch, s.cluster, reach) as u32;
-            t.bytes_above_coarsest(ladder, s.cluster, level)
-        };
-        bytes(Ladder::Geometry) + if t.has_textures() { bytes(Ladder::Texture) } else { 0 }
+        t.bytes_above_coarsest(ladder, s.cluster, t.ladder_lod(ladder, &switch, s.cluster, reach) as u32)
     });
-    t.coarse_bytes + finer.sum::<u64>()
+    let always = if ladder == Ladder::Geometry { t.coarse_bytes } else { 0 };
+    always.saturating_add(finer.fold(0, u64::saturating_add))
 }
 
 /// Sorts ranges and joins those that touch.

@@ -34,14 +34,14 @@ pub(super) struct DetailControl {
 }
 
 impl DetailControl {
-    /// The finest detail that the next step can return or ask the cost of.
-    pub fn finest(&self, asked: Detail) -> Detail {
-        coarsened(asked, self.start(asked).min(1.0))
+    /// The finest detail that the next step of any of them can return or ask the cost of.
+    pub fn finest(controls: &[DetailControl], asked: Detail) -> Detail {
+        coarsened(asked, controls.iter().map(|c| c.start(asked)).fold(1.0, f64::min))
     }
 
-    /// The finest target on the ladder whose `bytes` fit the budget, and the detail to use in this frame.
-    pub fn step(&mut self, frame: &Frame, bytes: impl Fn(&Target) -> u64) -> (Target, Detail) {
-        let fits = |rung: i32| bytes(&Target::new(frame.detail, STEP.powi(rung))) <= frame.vram_budget_bytes;
+    /// The finest target on the ladder whose `bytes` fit the `budget`, and the detail to use in this frame.
+    pub fn step(&mut self, frame: &Frame, budget: u64, bytes: impl Fn(&Target) -> u64) -> (Target, Detail) {
+        let fits = |rung: i32| bytes(&Target::new(frame.detail, STEP.powi(rung))) <= budget;
         let target = STEP.powi(first_that(RUNGS, fits));
         let reach = RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64);
         let start = self.start(frame.detail);

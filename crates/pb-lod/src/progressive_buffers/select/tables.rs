@@ -23,8 +23,8 @@ pub struct SelectTables<'a> {
     pub nodes: &'a [NodeRecord],
     /// Maps and tiles, where the model has textures.
     pub textures: Option<Textures<'a>>,
-    /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures
-    /// follow where there are any.
+    /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures,
+    /// in the unit of theirs, follow where there are any.
     pub chunk_bytes: &'a [u64],
 }
 
@@ -65,7 +65,7 @@ pub(super) struct Tables {
     pub origin: DVec3,
     pub quantum: f64,
     pub levels: u32,
-    /// Bytes of all coarsest chunks: always resident.
+    /// Bytes of all coarsest chunks of geometry: always resident.
     pub coarse_bytes: u64,
     pub nodes: Vec<Node>,
     spheres: Vec<Sphere>,
@@ -93,7 +93,7 @@ impl Tables {
             origin: DVec3::from_array(t.model.origin),
             quantum,
             levels: t.model.levels,
-            coarse_bytes: t.chunk_bytes.iter().skip(levels - 1).step_by(levels).sum(),
+            coarse_bytes: t.chunk_bytes.iter().skip(levels - 1).step_by(levels).take(count).sum(),
             nodes: Vec::new(),
             spheres: t.clusters.iter().map(|c| Sphere { center: c.center, radius: c.radius }).collect(),
             errors: Vec::with_capacity(count * levels),
@@ -121,7 +121,7 @@ impl Tables {
         }
         for (finer, chunks) in out.finer_bytes.chunks_mut(levels).zip(t.chunk_bytes.chunks(levels)) {
             for i in (0..levels - 1).rev() {
-                finer[i] = finer[i + 1] + chunks[i];
+                finer[i] = finer[i + 1].saturating_add(chunks[i]);
             }
         }
         out.nodes = out.reduce(t.nodes);

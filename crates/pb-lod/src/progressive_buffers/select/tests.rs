@@ -56,6 +56,7 @@ impl Bench {
             retiring: &self.retiring,
             detail: self.detail,
             vram_budget_bytes: self.budget,
+            texture_budget_bytes: 0,
             dt_secs,
         })
     }

@@ -1,4 +1,4 @@
-//! Texture mips: wanted by texel size, floors of their own, inside the same budget.
+//! Texture mips: wanted by texel size, with floors and a budget of their own.
 
 use super::*;
 use crate::progressive_buffers::grid_torus::GridTorus;
@@ -44,7 +44,8 @@ impl Bench {
             resident: &self.resident,
             retiring: &self.retiring,
             detail: Detail::ErrorPx(tau),
-            vram_budget_bytes: budget,
+            vram_budget_bytes: u64::MAX,
+            texture_budget_bytes: budget,
             dt_secs,
         })
     }
@@ -100,17 +101,22 @@ fn a_leaving_mip_is_given_back_when_its_floor_has_left_it() {
 }
 
 #[test]
-fn mips_count_in_the_budget() {
+fn mips_are_held_under_their_budget_and_leave_the_geometry_alone() {
     let mut bench = Bench::new();
     let all = bench.select(500.0, 1.0, u64::MAX, f32::INFINITY);
-    let bytes = |plan: &Plan| -> u64 {
-        let now = plan.wants.iter().filter(|w| w.class == Class::Now);
-        now.map(|w| bench.selector.tables.chunk_bytes(w.chunk)).sum()
+    let first = bench.clusters * LEVELS;
+    let wanted = |plan: &Plan, texture: bool| -> Vec<Want> {
+        let now = plan.wants.iter().filter(|w| w.class == Class::Now && (w.chunk.0 >= first) == texture);
+        now.copied().collect()
     };
-    let (wanted, always) = (bytes(&all), bench.selector.tables.coarse_bytes);
-    let half = always + (wanted - always) / 2;
+    let bytes =
+        |plan: &Plan| -> u64 { wanted(plan, true).iter().map(|w| bench.selector.tables.chunk_bytes(w.chunk)).sum() };
+    let half = bytes(&all) / 2;
     let mut tight = Bench::new();
     let plan = tight.select(500.0, 1.0, half, f32::INFINITY);
     assert!(bytes(&plan) <= half && bytes(&plan) > 0);
-    assert!(tight.finest(&plan) > 0, "less of the textures too");
+    assert!(tight.finest(&plan) > 0, "less of the textures");
+    assert_eq!((wanted(&plan, false), plan.detail), (wanted(&all, false), all.detail));
+    let none = Bench::new().select(500.0, 1.0, 0, f32::INFINITY);
+    assert_eq!((bytes(&none), wanted(&none, false)), (0, wanted(&all, false)));
 }
