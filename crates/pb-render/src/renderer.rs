@@ -30,8 +30,6 @@ pub struct Scene<'a> {
     pub camera: &'a Camera,
     /// The same eye on the model's grid.
     pub eye: GridEye,
-    /// Texture residency floors of all clusters (levels); empty where the model has no textures.
-    pub texture_floors: &'a [f32],
     /// Colours and debug switches.
     pub style: Style,
 }
@@ -101,7 +99,7 @@ impl Renderer {
         self.write_view(gpu, surface.canvas.size, scene);
         gpu.queue.write_buffer(&self.model.floor_buffer, 0, bytemuck::cast_slice(&scene.plan.floors));
         if let Some(tiles) = &self.model.tiles {
-            tiles.write_floors(gpu, scene.texture_floors);
+            tiles.write_floors(gpu, &scene.plan.texture_floors);
         }
         let arguments: Vec<DrawArguments> =
             scene.plan.draws.iter().map(|d| self.model.arguments(d.cluster, d.level)).collect();

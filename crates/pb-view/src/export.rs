@@ -36,7 +36,12 @@ impl ShownFrame<'_> {
         let clusters = 0..model.record().clusters;
         let tables: Vec<LodTable> = clusters.clone().map(|c| self.selector.lod_table(c, &switch)).collect();
         let drawn: Result<Vec<DrawnCluster>, ModelError> = clusters.map(|c| self.cluster(c)).collect();
-        Ok(displayed_surface(&drawn?, &tables, &self.eye))
+        let mut surface = displayed_surface(&drawn?, &tables, &self.eye);
+        if model.textures().is_some() {
+            // Vertices of textured models have texture coordinates where others have colours.
+            surface.colors.fill([255; 4]);
+        }
+        Ok(surface)
     }
 
     fn cluster(&self, cluster: u32) -> Result<DrawnCluster, ModelError> {

@@ -75,19 +75,54 @@ pub struct Stage {
     pub renderer: Renderer,
     selector: Selector,
     cache: Cache,
-    loader: Loader<Chunk>,
+    loader: Loader<Loaded>,
     /// Decoded chunks, by chunk.
-    decoded: Vec<Option<Chunk>>,
-    /// May be drawn, by chunk: the cache's and all coarsest ones.
+    decoded: Vec<Option<Loaded>>,
+    /// May be drawn, by chunk: the cache's and those that always are.
     resident: Vec<bool>,
-    vram_budget_bytes: u64,
+    always_resident: Vec<u32>,
+    /// Of geometry with the coarse buffer, and of textures without their tails.
+    budgets: [u64; 2],
     plan: Plan,
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
     near: f64,
     /// Frames that a chunk stays away after it was asked for (a debug switch), and the chunks that wait.
     late_frames: u32,
-    late: VecDeque<(u32, pb_stream::ChunkId, LoadResult<Chunk>)>,
+    late: VecDeque<(u32, pb_stream::ChunkId, LoadResult<Loaded>)>,
+}
+
+/// A chunk in memory.
+#[derive(Clone)]
+enum Loaded {
+    Geometry(Chunk),
+    /// Mips as the archive has them.
+    Texture(Vec<u8>),
+}
+
+fn load(model: &Model, chunk: ChunkId) -> Result<Loaded, ModelError> {
+    match model.is_texture(chunk) {
+        true => model.read_texture(chunk).map(|bytes| Loaded::Texture(bytes.to_vec())),
+        false => model.read_chunk(chunk).map(Loaded::Geometry),
+    }
+}
+
+/// What is always there, read from the file.
+struct CoarseChunks<'a> {
+    chunks: Vec<Chunk>,
+    tails: Vec<&'a [u8]>,
+}
+
+impl<'a> CoarseChunks<'a> {
+    fn read(model: &'a Model) -> Result<Self, ModelError> {
+        let (clusters, coarsest) = (0..model.record().clusters, model.levels() - 1);
+        let chunks: Result<Vec<Chunk>, ModelError> =
+            clusters.clone().into_par_iter().map(|c| model.read_chunk(model.chunk_id(c, coarsest))).collect();
+        let textured = if model.textures().is_some() { clusters } else { 0..0 };
+        let tails: Result<Vec<&[u8]>, ModelError> =
+            textured.into_par_iter().map(|c| model.read_texture(model.texture_chunk_id(c, coarsest))).collect();
+        Ok(Self { chunks: chunks?, tails: tails? })
+    }
 }
 
 impl Stage {
@@ -99,34 +134,34 @@ impl Stage {
             clusters: model.clusters(),
             levels: model.level_records(),
             neighbours: model.neighbour_entries(),
-            textures: None,
+            textures: model.textures(),
         };
-        let coarsest = model.levels() - 1;
-        let coarse: Result<Vec<Chunk>, ModelError> = (0..model.record().clusters)
-            .into_par_iter()
-            .map(|cluster| model.read_chunk(model.chunk_id(cluster, coarsest)))
-            .collect();
-        let coarse = coarse.context("the coarsest level cannot be read, so nothing can be drawn")?;
-        let data: Vec<ChunkData> = coarse.iter().map(chunk_data).collect();
-        let coarse = Coarse { chunks: &data, tails: &[] };
+        let coarse =
+            CoarseChunks::read(&model).context("the coarsest level cannot be read, so nothing can be drawn")?;
+        let data: Vec<ChunkData> = coarse.chunks.iter().map(chunk_data).collect();
+        let coarse = Coarse { chunks: &data, tails: &coarse.tails };
         let renderer = Renderer::new(gpu, &tables, &coarse, bounds.vram_bytes, picture)?;
-        let chunk_bytes = tables.chunk_vram_bytes();
+        let mut chunk_bytes = tables.chunk_vram_bytes();
+        let coarse_bytes: u64 =
+            chunk_bytes.iter().skip(model.levels() as usize - 1).step_by(model.levels() as usize).sum();
+        let (texture_bytes, texture_costs) = renderer.model.texture_costs();
+        chunk_bytes.extend(texture_costs);
         let selector = Selector::new(&SelectTables {
             model: model.record(),
             clusters: model.clusters(),
             levels: model.level_records(),
             neighbours: model.neighbour_entries(),
             nodes: model.nodes(),
-            textures: None,
+            textures: model.textures(),
             chunk_bytes: &chunk_bytes,
         });
-        let coarse_bytes: u64 = chunk_bytes.iter().skip(coarsest as usize).step_by(model.levels() as usize).sum();
         let heap_bytes = renderer.model.chunk_budget_bytes();
-        let cache = Cache::new(chunk_infos(&model, &chunk_bytes), Limits::new(bounds.ram_bytes, heap_bytes))?;
+        let limits = Limits::new(bounds.ram_bytes, [heap_bytes, texture_bytes]);
+        let cache = Cache::new(chunk_infos(&model, &chunk_bytes), limits)?;
         let (reader, chunks) = (model.clone(), chunk_bytes.len());
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get() / 2).clamp(1, MAX_LOADERS);
         let loader = Loader::new(threads, move |chunk: pb_stream::ChunkId| {
-            reader.read_chunk(ChunkId(chunk.0)).map_err(|e| e.to_string())
+            load(&reader, ChunkId(chunk.0)).map_err(|e| e.to_string())
         });
         let s = subject(model.record(), glam::DVec3::Y);
         Ok(Self {
@@ -136,7 +171,8 @@ impl Stage {
             loader,
             decoded: vec![None; chunks],
             resident: vec![false; chunks],
-            vram_budget_bytes: coarse_bytes + heap_bytes,
+            always_resident: (0..chunks as u32).filter(|&c| model.always_resident(ChunkId(c))).collect(),
+            budgets: [coarse_bytes + heap_bytes, texture_bytes],
             plan: Plan::default(),
             switch: None,
             near: s.radius * 2.0 * NEAR,
@@ -184,7 +220,8 @@ impl Stage {
             resident: &self.resident,
             retiring: self.cache.retiring(),
             detail: moment.detail,
-            vram_budget_bytes: self.vram_budget_bytes,
+            vram_budget_bytes: self.budgets[0],
+            texture_budget_bytes: self.budgets[1],
             dt_secs,
         };
         self.plan = self.selector.select(&frame);
@@ -207,9 +244,14 @@ impl Stage {
             Command::Retire(_) | Command::Keep(_) => {}
             Command::Upload(chunk) => {
                 let data = self.decoded[chunk.0 as usize].as_ref().expect("the cache uploads what is in RAM");
-                match self.renderer.model.upload(gpu, ChunkId(chunk.0), chunk_data(data)) {
-                    Ok(()) => self.cache.uploaded(chunk),
-                    Err(_) => self.cache.upload_failed(chunk),
+                let (model, id) = (&mut self.renderer.model, ChunkId(chunk.0));
+                let there = match data {
+                    Loaded::Geometry(data) => model.upload(gpu, id, chunk_data(data)).is_ok(),
+                    Loaded::Texture(bytes) => model.upload_texture(gpu, id, bytes).is_ok(),
+                };
+                match there {
+                    true => self.cache.uploaded(chunk),
+                    false => self.cache.upload_failed(chunk),
                 }
             }
         }
@@ -237,7 +279,7 @@ impl Stage {
         }
     }
 
-    fn accept(&mut self, chunk: pb_stream::ChunkId, result: LoadResult<Chunk>) {
+    fn accept(&mut self, chunk: pb_stream::ChunkId, result: LoadResult<Loaded>) {
         match result {
             Ok(data) => {
                 self.decoded[chunk.0 as usize] = Some(data);
@@ -252,8 +294,9 @@ impl Stage {
 
     fn mark_resident(&mut self) {
         self.resident.copy_from_slice(self.cache.resident());
-        let levels = self.model.levels() as usize;
-        self.resident.iter_mut().skip(levels - 1).step_by(levels).for_each(|r| *r = true);
+        for &chunk in &self.always_resident {
+            self.resident[chunk as usize] = true;
+        }
     }
 
     fn view(&self, moment: &Moment) -> View {
@@ -275,7 +318,7 @@ impl Stage {
     pub fn draw(&self, gpu: &Gpu, surface: &Surface, moment: &Moment, style: Style) {
         let camera = self.camera(&moment.key);
         let eye = grid_eye(self.model.record(), camera.eye);
-        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, texture_floors: &[], style });
+        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, style });
     }
 
     /// The surface of the last step, for export.
@@ -318,19 +361,21 @@ impl Stage {
     }
 }
 
-/// The cache's view of the chunks: the coarsest ones are outside of it, always there.
+/// The cache's view of the chunks: those that are always there are outside of it.
 fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
-    let info = |chunk: u32| {
-        let coarser = model.coarser(ChunkId(chunk));
-        let coarsest = coarser.is_none();
-        let bytes = u32::try_from(chunk_bytes[chunk as usize]).expect("a cluster has at most 65535 vertices");
+    let info = |(chunk, &bytes): (u32, &u64)| {
+        let id = ChunkId(chunk);
+        let (always, texture) = (model.always_resident(id), model.is_texture(id));
+        let in_ram = if texture { model.decoded_bytes(id) } else { u32::try_from(bytes).unwrap_or(u32::MAX) };
         ChunkInfo {
-            bytes: if coarsest { 0 } else { bytes },
-            coarser: coarser.filter(|&c| model.coarser(c).is_some()).map(|c| pb_stream::ChunkId(c.0)),
+            ram_bytes: if always { 0 } else { in_ram },
+            vram_bytes: if always { 0 } else { bytes },
+            pool: texture as usize,
+            coarser: model.needs(id).map(|c| pb_stream::ChunkId(c.0)),
             pinned: false,
         }
     };
-    (0..chunk_bytes.len() as u32).map(info).collect()
+    (0..).zip(chunk_bytes).map(info).collect()
 }
 
 fn chunk_data(chunk: &Chunk) -> ChunkData<'_> {

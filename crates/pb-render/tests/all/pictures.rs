@@ -10,11 +10,7 @@ fn picture(gpu: &Gpu, model: &RandomModel, renderer: &Renderer, plan: &Plan, sty
     let eye = DVec3::new(-10.0, 3.0, 90.0);
     let camera = Camera { eye, target: DVec3::splat(20.0), up: DVec3::Y, fov_deg: 70.0, near: 1e-3 };
     let target = Offscreen::new(gpu, [160, 120], PICTURE.color, PICTURE.samples).unwrap();
-    renderer.draw(
-        gpu,
-        &target.surface(),
-        &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), texture_floors: &[], style },
-    );
+    renderer.draw(gpu, &target.surface(), &Scene { plan, camera: &camera, eye: grid_eye(&model.model, eye), style });
     target.read(gpu).unwrap()
 }
 

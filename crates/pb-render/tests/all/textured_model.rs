@@ -130,12 +130,16 @@ impl Shot<'_> {
     pub fn take(&self, gpu: &Gpu, model: &TexturedModel, renderer: &Renderer) -> Vec<[u8; 4]> {
         let target = Offscreen::new(gpu, [self.size; 2], PICTURE, Samples::One).unwrap();
         let floors = vec![0.0; model.tiles.len()];
-        let plan = Plan { coarse: vec![renderer.model.coarse_range(self.cluster)], floors, ..Plan::default() };
+        let plan = Plan {
+            coarse: vec![renderer.model.coarse_range(self.cluster)],
+            floors,
+            texture_floors: self.floors.to_vec(),
+            ..Plan::default()
+        };
         let scene = Scene {
             plan: &plan,
             camera: &self.camera,
             eye: grid_eye(&model.model, self.camera.eye),
-            texture_floors: self.floors,
             style: Style { color: self.color, anisotropy: 16, ..Style::default() },
         };
         renderer.draw(gpu, &target.surface(), &scene);

@@ -117,11 +117,7 @@ fn check_model(gpu: &Gpu, model: &RandomModel, eye: DVec3, random: &mut Random) 
     let target = Offscreen::new(gpu, [16, 16], PICTURE.color, PICTURE.samples).unwrap();
     // An empty frame: leaves the view and the floors on the adapter.
     let plan = Plan { floors: model.floors(), ..Plan::default() };
-    renderer.draw(
-        gpu,
-        &target.surface(),
-        &Scene { plan: &plan, camera: &camera, eye, texture_floors: &[], style: Style::default() },
-    );
+    renderer.draw(gpu, &target.surface(), &Scene { plan: &plan, camera: &camera, eye, style: Style::default() });
     let probe = Probe::new(gpu, &renderer);
     for cluster in 0..clusters {
         compare_cluster(model, cluster, &eye, &probe.run(&renderer, cluster, model.counts(cluster)[0]));
