@@ -1,20 +1,22 @@
 // The surface of a textured model. Needs surface.wgsl and textures.wgsl before it.
 
-// The frame of the tile at a fragment, from derivatives: Mikkelsen 2010, "Bump mapping unparametrized surfaces on the
-// GPU", for normal maps. Columns: dP/du, -dP/dv (green up, v runs down), both at right angles to the normal, unit
-// length; and the normal. Where u, v stand still: the normal alone.
+// The frame of the tile at a fragment, as pb-mesh's texture/normal.rs defines it, from derivatives (Mikkelsen 2010,
+// "Bump mapping unparametrized surfaces on the GPU"): along dP/du at right angles to the normal; at right angles to both,
+// on the side away from dP/dv (green up, v runs down); the normal. Where u, v stand still: the normal alone.
 fn tile_frame(n: vec3<f32>, dpx: vec3<f32>, dpy: vec3<f32>, dx: vec2<f32>, dy: vec2<f32>) -> mat3x3<f32> {
-    // dP/du and dP/dv times the area, which is positive where u, v keep their orientation on the screen.
     let area = dx.x * dy.y - dx.y * dy.x;
     let sign = select(-1.0, 1.0, area >= 0.0);
+    // dP/du and dP/dv times the area's size.
     let along_u = (dpx * dy.y - dpy * dx.y) * sign;
     let along_v = (dpy * dx.x - dpx * dy.x) * sign;
     let t = along_u - n * dot(n, along_u);
-    let b = along_v - n * dot(n, along_v);
     let tt = dot(t, t);
-    let bb = dot(b, b);
-    let there = tt > 0.0 && bb > 0.0 && area != 0.0;
-    return mat3x3<f32>(select(vec3(0.0), t * inverseSqrt(tt), there), select(vec3(0.0), -b * inverseSqrt(bb), there), n);
+    if area == 0.0 || tt <= 0.0 {
+        return mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), n);
+    }
+    let tangent = t * inverseSqrt(tt);
+    let side = cross(n, tangent);
+    return mat3x3<f32>(tangent, select(side, -side, dot(side, along_v) > 0.0), n);
 }
 
 fn surface_of(f: Fragment) -> Surface {

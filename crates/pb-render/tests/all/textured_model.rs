@@ -21,7 +21,8 @@ pub struct TexturedModel {
     pub levels: Vec<LevelRecord>,
     pub maps: Vec<MapRecord>,
     pub tiles: Vec<TileRecord>,
-    vertices: [Vertex; 4],
+    /// Counter-clockwise from x = y = 0, where v is largest.
+    pub vertices: [Vertex; 4],
     /// By texture chunk.
     pub bytes: Vec<Vec<u8>>,
 }
