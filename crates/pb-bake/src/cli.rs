@@ -3,7 +3,7 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use pb_bake::images::DecodeOptions;
 use pb_bake::import::ImportOptions;
-use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES};
+use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES, DEFAULT_TILE_SIZE};
 use pb_mesh::normals::{NormalOptions, NormalWeight};
 use pb_mesh::repair::RepairOptions;
 use std::path::{Path, PathBuf};
@@ -79,6 +79,24 @@ pub struct BakeArgs {
     /// Exit with 1, and write nothing, where an image is missing or broken; else a checker stands in its place
     #[arg(long)]
     pub strict: bool,
+    /// Where the charts of textures come from; unless given, the source's are kept where they are usable
+    #[arg(long, value_enum, value_name = "FROM")]
+    pub charts: Option<ChartsFrom>,
+    /// Widest texture tile of a cluster, texels: a power of two from 32 to 4096
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_TILE_SIZE, value_parser = tile_size)]
+    pub tile_size: u32,
+    /// How long to search for good texture blocks
+    #[arg(long, value_enum, default_value_t = TextureQuality::Normal)]
+    pub texture_quality: TextureQuality,
+    /// How texels are stored
+    #[arg(long, value_enum, default_value_t = TexelFormat::Bc)]
+    pub texture_format: TexelFormat,
+    /// The xatlas helper program, for --charts xatlas; looked for beside this program and in PATH unless given
+    #[arg(long, value_name = "PATH")]
+    pub xatlas_helper: Option<PathBuf>,
+    /// Seconds that the xatlas helper may take for one cluster
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
+    pub xatlas_time_limit: f64,
     /// Folder for temporary files, which large images need; that of the archive unless given
     #[arg(long, value_name = "DIR")]
     pub temp_dir: Option<PathBuf>,
@@ -109,6 +127,37 @@ pub enum Normals {
     Angle,
     /// By the triangle's area
     Area,
+}
+
+/// Where charts come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ChartsFrom {
+    /// The texture coordinates of the input, texels copied one to one
+    Source,
+    /// The built-in method: new charts, texels resampled
+    Auto,
+    /// The xatlas helper program; the built-in method where it fails
+    Xatlas,
+}
+
+/// How long to search for good texture blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TextureQuality {
+    /// For trials
+    Fast,
+    /// For use
+    Normal,
+    /// Many times slower, for the last tenths of a decibel
+    Best,
+}
+
+/// How texels are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TexelFormat {
+    /// Block compressed: BC7, BC5, BC6H
+    Bc,
+    /// Plain: RGBA8, RG8, half floats; four times the bytes
+    Rgba8,
 }
 
 impl BakeArgs {
@@ -204,6 +253,15 @@ fn tolerance(text: &str) -> Result<f64, String> {
 
 fn cluster_triangles(text: &str) -> Result<usize, String> {
     number(text, 64.0, 1e6).map(|n| n as usize)
+}
+
+fn tile_size(text: &str) -> Result<u32, String> {
+    let size = number(text, 32.0, 4096.0)? as u32;
+    if size.is_power_of_two() { Ok(size) } else { Err("it must be a power of two".into()) }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    number(text, 0.1, 86_400.0)
 }
 
 fn threads(text: &str) -> Result<usize, String> {

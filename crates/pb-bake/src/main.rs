@@ -10,12 +10,13 @@ mod inspect;
 mod progress;
 mod report;
 mod scene;
+mod texturing;
 
 use clap::Parser;
 use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
 use pb_archive::{Overwrite, Writer};
-use pb_lod::progressive_buffers::bake::{BakeError, Stage, bake};
+use pb_lod::progressive_buffers::bake::{BakeError, Stage};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
 use progress::{Mode, Progress};
@@ -52,20 +53,21 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     let writer = Writer::create(output, SCHEME, overwrite).map_err(blame_machine)?;
 
     let progress = Progress::new(Mode::of(args.quiet));
-    let Scene { mesh, materials, images, inputs, repairs, textures } = scene::load(args, &progress)?;
+    let scene = scene::load(args, &progress)?;
     let show = |stage, share| {
         progress.stage(stage_name(stage));
         progress.share(share);
     };
-    let (model, baked) = bake(&mesh, repairs.triangles_in, &args.bake_options(), &show).map_err(|e| match e {
+    let (model, baked, helper) = texturing::bake_scene(args, &scene, &progress, &show).map_err(|e| match e {
         BakeError::TooLarge(_) => blame_input(e),
         e => blame_machine(e),
     })?;
-    drop((mesh, materials, images));
+    let Scene { inputs, repairs, textures, .. } = scene;
     progress.stage("write");
     let bytes = write_model(writer, &model).map_err(blame_machine)?;
 
     let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish());
+    let textures = textures.map(|t| t.with_bake(&model, &baked, helper));
     let summary = summary.with_input(&inputs, &repairs, textures);
     match (args.json, args.quiet) {
         (true, _) => report::print_json(&summary),
@@ -95,8 +97,10 @@ fn refuse_own_input(args: &BakeArgs) -> Result<(), Failure> {
 fn stage_name(stage: Stage) -> &'static str {
     match stage {
         Stage::Segment => "segment",
+        Stage::Charts => "charts",
         Stage::Simplify => "simplify",
         Stage::Measure => "measure",
         Stage::Pack => "pack",
+        Stage::Textures => "texels",
     }
 }

@@ -3,13 +3,17 @@
 use crate::cli::BakeArgs;
 use crate::failure::{Failure, blame_input, blame_machine};
 use crate::progress::Progress;
+use crate::texturing::HelperSummary;
 use pb_bake::images::{ImageError, ImageSource, decode_all};
 use pb_bake::import::{self, InputReport};
+use pb_lod::progressive_buffers::bake::BakeReport;
+use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Mesh;
 use pb_mesh::repair::{MeshError, RepairReport, repair};
 use pb_mesh::texture::image::Image;
 use serde::Serialize;
+use std::fmt::Write as _;
 
 /// All that a bake begins with.
 pub struct Scene {
@@ -28,18 +32,75 @@ pub struct Scene {
 }
 
 /// The source images in a report.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct TextureSummary {
     images: usize,
     texels: u64,
     placeholders: usize,
+    /// Of all tiles at level 0.
+    tile_texels: u64,
+    tile_bytes: u64,
+    tile_fill: f64,
+    charts: u64,
+    source_clusters: u64,
+    new_chart_clusters: u64,
+    xatlas_clusters: u64,
+    reduced_clusters: u64,
+    /// Why the source's charts were not kept, and in how many clusters.
+    reasons: Vec<(String, u64)>,
+    helper: Option<HelperSummary>,
 }
 
 impl TextureSummary {
     /// For people.
     pub fn text(&self) -> String {
-        let TextureSummary { images, texels, placeholders } = self;
-        format!("textures: {images} images, {texels} texels, {placeholders} placeholders")
+        let TextureSummary { images, texels, placeholders, charts, tile_texels, tile_bytes, .. } = self;
+        let mut text = format!("textures: {images} images, {texels} texels, {placeholders} placeholders\n");
+        let _ = write!(text, "charts: {charts}, ");
+        let from = [
+            (self.source_clusters, "of the source"),
+            (self.new_chart_clusters, "new"),
+            (self.xatlas_clusters, "by xatlas"),
+        ];
+        let from: Vec<String> =
+            from.iter().filter(|f| f.0 > 0).map(|(n, what)| format!("{what} in {n} clusters")).collect();
+        let _ = write!(text, "{}", from.join(", "));
+        for (reason, clusters) in &self.reasons {
+            let _ = write!(text, "; source charts not kept in {clusters}: {reason}");
+        }
+        let per_texel = *tile_bytes as f64 / (*tile_texels).max(1) as f64;
+        let _ = write!(
+            text,
+            "\ntiles: {tile_texels} texels, {:.0} % covered, {tile_bytes} bytes, {per_texel:.2} per texel",
+            self.tile_fill * 100.0
+        );
+        if self.reduced_clusters > 0 {
+            let _ =
+                write!(text, "; fewer texels than the source in {} clusters: raise --tile-size", self.reduced_clusters);
+        }
+        if let Some(helper) = self.helper.as_ref().filter(|h| h.by_fallback > 0) {
+            let _ =
+                write!(text, "\nxatlas: {} clusters, the built-in method for {}", helper.by_helper, helper.by_fallback);
+        }
+        text
+    }
+
+    /// Adds what the bake made of the images.
+    pub fn with_bake(mut self, model: &BakedModel, baked: &BakeReport, helper: Option<HelperSummary>) -> Self {
+        let geometry = (model.record.clusters * model.record.levels) as usize;
+        self.tile_bytes = model.chunks.iter().skip(geometry).map(|c| c.bytes.len() as u64).sum();
+        if let Some(charts) = &baked.charts {
+            self.tile_texels = charts.texels;
+            self.tile_fill = charts.fill;
+            self.charts = charts.charts;
+            self.source_clusters = charts.source_clusters;
+            self.new_chart_clusters = charts.auto_clusters;
+            self.xatlas_clusters = charts.given_clusters;
+            self.reduced_clusters = charts.reduced_clusters;
+            self.reasons = charts.reasons.clone();
+        }
+        self.helper = helper;
+        self
     }
 }
 
@@ -85,6 +146,6 @@ fn decode(
         let text = format!("{} (--strict: {placeholders} of {images} images cannot be used)", first.message);
         return Err(blame_input(text));
     }
-    let summary = TextureSummary { images, texels: decoded.texels(), placeholders };
+    let summary = TextureSummary { images, texels: decoded.texels(), placeholders, ..TextureSummary::default() };
     Ok((decoded.images, summary))
 }

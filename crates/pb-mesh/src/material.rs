@@ -85,6 +85,13 @@ pub struct Material {
     pub textures: [Option<TextureRef>; 5],
 }
 
+impl TextureRef {
+    /// Where on the image a coordinate of the mesh lies, in units of the image.
+    pub fn apply(&self, [u, v]: [f32; 2]) -> [f32; 2] {
+        self.transform.map(|row| row[0] * u + row[1] * v + row[2])
+    }
+}
+
 impl Default for Material {
     /// White, matt, opaque, without images.
     fn default() -> Self {

@@ -27,10 +27,6 @@ use std::path::{Path, PathBuf};
 
 /// Most different warnings that are kept per input.
 const MAX_WARNING_COUNT: usize = 20;
-
-/// Said once per input that has textures.
-const TEXTURE_WARNING: &str = "textures are not baked yet: vertex and material colours only";
-
 /// The kinds of model that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
@@ -197,9 +193,6 @@ fn read(format: Format, input: &Input, texture: Option<&Path>) -> Result<(Model,
     if let Some(path) = texture {
         let content = ImageContent::File(path.to_owned());
         model.cover(ImageSource { name: path.display().to_string(), content }, &mut warnings);
-    }
-    if !model.images.is_empty() {
-        warnings.add(TEXTURE_WARNING);
     }
     Ok((model, warnings.into_list()))
 }

@@ -23,7 +23,6 @@ mod tests;
 
 pub use auto::{AutoOptions, ChartReport, auto_charts};
 pub use pack::{Fit, MAX_TILE, MIN_GAP_TEXELS, MIN_TILE, PackOptions, Packed, Placement, pack};
-
 pub use source::{
     FEW_EXTRA_CHARTS, MAX_ANISOTROPY, MAX_DENSITY_SPREAD, MAX_SELF_OVERLAP, MIN_TRIANGLES_PER_EXTRA_CHART,
     SourceReport, source_charts,

@@ -1,7 +1,8 @@
 //! The last step of a bake: clusters in the order of the hierarchy, their buffers, and all tables.
 
 use super::Clusters;
-use super::buffers::{self, Place, Source};
+use super::buffers::{self, Coordinates, Place, Source};
+use super::charting::Tiles;
 use super::grid::Grid;
 use super::levels::LevelErrors;
 use crate::progressive_buffers::hierarchy;
@@ -14,18 +15,24 @@ use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 use rayon::prelude::*;
 
-/// Orders the clusters, packs their buffers and fills all tables.
-#[allow(clippy::too_many_arguments)] // the results of all earlier steps meet here, once
-pub(super) fn assemble(
-    mesh: &Mesh,
-    triangles_in: u64,
-    triangles: &[[u32; 3]],
-    clusters: &Clusters,
-    collapses: &Collapses,
-    errors: &[LevelErrors],
-    levels: usize,
-    progress: &(dyn Fn(f32) + Sync),
-) -> (BakedModel, Vec<f32>) {
+/// The results of all earlier steps.
+pub(super) struct Finished<'a> {
+    pub mesh: &'a Mesh,
+    pub triangles_in: u64,
+    /// Position indices.
+    pub triangles: &'a [[u32; 3]],
+    pub clusters: &'a Clusters,
+    /// Where there are textures.
+    pub tiles: Option<&'a Tiles>,
+    pub collapses: &'a Collapses,
+    pub errors: &'a [LevelErrors],
+    pub levels: usize,
+}
+
+/// Orders the clusters, packs their buffers and fills all tables but those of textures. Returns the model, the clusters
+/// of the segmentation in its order, and the average cache misses per triangle of each level.
+pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (BakedModel, Vec<u32>, Vec<f32>) {
+    let &Finished { mesh, triangles_in, triangles, clusters, collapses, errors, levels, .. } = input;
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let bounds: Vec<Bounds> = (0..count)
         .into_par_iter()
@@ -42,6 +49,7 @@ pub(super) fn assemble(
         points: &grid.points,
         kinds: &clusters.kinds,
         collapses,
+        uv: input.tiles.map(|t| Coordinates { corners: &t.corners, uv: &t.uv }),
         levels,
     };
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -99,7 +107,7 @@ pub(super) fn assemble(
         model_levels,
         chunks,
     };
-    (model, acmr)
+    (model, hierarchy.order, acmr)
 }
 
 /// Box and sphere of a cluster, grid space.

@@ -21,7 +21,18 @@ pub(super) struct Source<'a> {
     pub points: &'a [[i32; 3]],
     pub kinds: &'a [Kind],
     pub collapses: &'a Collapses,
+    /// Texture coordinates, where the mesh has textures; colours are not stored then.
+    pub uv: Option<Coordinates<'a>>,
     pub levels: usize,
+}
+
+/// Texture coordinates of the whole mesh; see [`UvInput`](pb_mesh::simplify::UvInput).
+#[derive(Clone, Copy)]
+pub(super) struct Coordinates<'a> {
+    /// Per triangle corner: UV wedge.
+    pub corners: &'a [[u32; 3]],
+    /// Tile coordinates per UV wedge.
+    pub uv: &'a [[u16; 2]],
 }
 
 /// Where one cluster lies and who its neighbours are.
@@ -58,10 +69,13 @@ pub(super) fn build(source: &Source, place: &Place) -> (Vec<LevelRecord>, Vec<En
     (records, chunks)
 }
 
-/// A cluster in local wedge indices.
+/// What becomes a vertex: a wedge, and its UV wedge where there are textures (else 0).
+type Record = (u32, u32);
+
+/// A cluster in local record indices.
 struct Local {
-    /// Wedge of each local index, ascending, so that wedges of one position are neighbours.
-    wedges: Vec<u32>,
+    /// Record of each local index, ascending, so that those of one position are neighbours.
+    records: Vec<Record>,
     /// Position of each local index.
     positions: Vec<u32>,
     last_level: Vec<u8>,
@@ -71,18 +85,19 @@ struct Local {
 
 impl Local {
     fn new(source: &Source, triangles: &[u32]) -> Self {
-        let mut wedges: Vec<u32> = triangles.iter().flat_map(|&t| source.triangles[t as usize]).collect();
-        wedges.sort_unstable();
-        wedges.dedup();
-        let positions: Vec<u32> = wedges.iter().map(|&w| source.wedges[w as usize].position).collect();
-        let local = |w: u32| wedges.binary_search(&w).expect("collected above") as u32;
-        let parents = (0..wedges.len()).map(|i| parent_wedge(source, &wedges, &positions, i)).collect();
+        let corners = |&t: &u32| source.records(t as usize);
+        let mut records: Vec<Record> = triangles.iter().flat_map(corners).collect();
+        records.sort_unstable();
+        records.dedup();
+        let positions: Vec<u32> = records.iter().map(|r| source.wedges[r.0 as usize].position).collect();
+        let local = |r: Record| records.binary_search(&r).expect("collected above") as u32;
+        let parents = (0..records.len()).map(|i| parent_record(source, &records, &positions, i)).collect();
         Local {
-            triangles: triangles.iter().map(|&t| source.triangles[t as usize].map(local)).collect(),
+            triangles: triangles.iter().map(|t| corners(t).map(local)).collect(),
             last_level: positions.iter().map(|&p| source.collapses.last_level[p as usize]).collect(),
             parents,
             positions,
-            wedges,
+            records,
         }
     }
 
@@ -109,7 +124,7 @@ impl Local {
     /// Numbers the vertices coarsest level first, inside a level in the order of first use. Returns the local index
     /// of every vertex, `n_i` per level, and the index buffers.
     fn number(&self, levels: usize) -> (Vec<u32>, Vec<u32>, Vec<Vec<u32>>) {
-        let count = self.wedges.len();
+        let count = self.records.len();
         let triangles = self.level_triangles(levels);
         let (mut number, mut order) = (vec![NONE; count], Vec::with_capacity(count));
         let mut starts = vec![0; levels];
@@ -139,7 +154,8 @@ impl Local {
             number[v as usize] = i as u16;
         }
         let vertex = |&v: &u32| {
-            let wedge = &source.wedges[self.wedges[v as usize] as usize];
+            let (wedge, uv_wedge) = self.records[v as usize];
+            let wedge = &source.wedges[wedge as usize];
             let point = source.points[wedge.position as usize];
             let last = self.last_level[v as usize];
             let parent = if last as usize + 1 < source.levels { self.ancestor(v, last + 1) } else { v };
@@ -151,22 +167,51 @@ impl Local {
                 offset: std::array::from_fn(|k| ((point[k] - place.origin[k]) >> place.shift) as u16),
                 parent: number[parent as usize],
                 normal_slot: Vertex::pack_normal_slot(wedge.normal, slot),
-                color: wedge.color,
+                color: match &source.uv {
+                    Some(texture) => Vertex::pack_uv(texture.uv[uv_wedge as usize]),
+                    None => wedge.color,
+                },
             }
         };
         order.iter().map(vertex).collect()
     }
 }
 
-/// Local index of the wedge that local wedge `i` becomes when its position collapses: of those that the cluster uses
-/// at the parent position, the one with the most similar normal and colour.
-fn parent_wedge(source: &Source, wedges: &[u32], positions: &[u32], i: usize) -> u32 {
+impl Source<'_> {
+    /// What the corners of a triangle are.
+    fn records(&self, t: usize) -> [Record; 3] {
+        match &self.uv {
+            Some(texture) => std::array::from_fn(|k| (self.same_look(self.triangles[t][k]), texture.corners[t][k])),
+            None => self.triangles[t].map(|w| (w, 0)),
+        }
+    }
+
+    /// The first wedge of the same position and normal: colours do not matter where there are textures.
+    fn same_look(&self, wedge: u32) -> u32 {
+        let own = &self.wedges[wedge as usize];
+        let mut first = wedge;
+        let mut w = wedge as usize;
+        while w > 0 && self.wedges[w - 1].position == own.position {
+            w -= 1;
+            if self.wedges[w].normal == own.normal {
+                first = w as u32;
+            }
+        }
+        first
+    }
+}
+
+/// Local index of the record that local record `i` becomes when its position collapses: of those that the cluster has
+/// at the parent position, and of its UV wedge's parent, the one with the most similar normal and colour.
+fn parent_record(source: &Source, records: &[Record], positions: &[u32], i: usize) -> u32 {
     let parent = source.collapses.parent[positions[i] as usize];
     if parent == positions[i] {
         return i as u32;
     }
     let from = positions.partition_point(|&p| p < parent);
-    let own = &source.wedges[wedges[i] as usize];
+    let (own, uv_wedge) = records[i];
+    let own = &source.wedges[own as usize];
+    let uv_parent = source.uv.map(|_| source.collapses.wedge_parent[uv_wedge as usize]);
     let difference = |w: &Wedge| {
         let bend = (0..3).map(|k| (w.normal[k] - own.normal[k]).powi(2)).sum::<f32>();
         let tint = (0..4).map(|k| ((f32::from(w.color[k]) - f32::from(own.color[k])) / 255.0).powi(2)).sum::<f32>();
@@ -174,8 +219,9 @@ fn parent_wedge(source: &Source, wedges: &[u32], positions: &[u32], i: usize) ->
     };
     let candidates = (from..positions.len()).take_while(|&j| positions[j] == parent);
     candidates
+        .filter(|&j| uv_parent.is_none_or(|uv| records[j].1 == uv))
         .min_by(|&a, &b| {
-            let d = |j: usize| difference(&source.wedges[wedges[j] as usize]);
+            let d = |j: usize| difference(&source.wedges[records[j].0 as usize]);
             d(a).total_cmp(&d(b))
         })
         .expect("a position collapses only onto one of its own cluster (I2)") as u32

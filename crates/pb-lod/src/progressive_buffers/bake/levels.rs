@@ -1,7 +1,7 @@
 //! The errors of every level: distances to the input, per cluster and for the whole model.
 
 use super::Clusters;
-use pb_mesh::deviation::{LevelPair, measure};
+use pb_mesh::deviation::{LevelPair, TextureDeviation, measure};
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::{Fans, Kind};
 use rayon::prelude::*;
@@ -97,6 +97,18 @@ pub(super) fn measure_levels(
         progress(f32::from(level) / (levels - 1) as f32);
     }
     list
+}
+
+/// What slides on the surface is as wrong as what leaves it: bounds become the larger of the two, never falling towards
+/// coarse.
+pub(super) fn add_slides(errors: &mut [LevelErrors], slides: &[TextureDeviation], quantum: f64) {
+    for level in 1..errors.len() {
+        let (finer, own) = errors.split_at_mut(level);
+        let finer = &finer[level - 1].max;
+        for ((max, slide), finer) in own[0].max.iter_mut().zip(&slides[level].max).zip(finer) {
+            *max = max.max((f64::from(*slide) * quantum) as f32).max(*finer);
+        }
+    }
 }
 
 /// How many positions triangles use.

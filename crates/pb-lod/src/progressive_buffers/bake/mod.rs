@@ -8,25 +8,40 @@
 
 mod assemble;
 mod buffers;
+mod chart_part;
+mod charting;
 mod grid;
 mod levels;
+mod tiles;
+
+pub use charting::{ChartMode, ChartOptions, ChartSummary, Charter, DEFAULT_TILE_SIZE};
+pub use tiles::TexelOptions;
 
 use super::layout::MAX_LEVELS;
+use super::textures::MAX_SIZE_LOG2;
 use super::write::BakedModel;
-use assemble::assemble;
+use assemble::{Finished, assemble};
+use charting::{ChartInput, Tiles, make_tiles};
 use glam::Vec3;
 use grid::Grid;
-use levels::measure_levels;
+use levels::{add_slides, measure_levels};
+use pb_mesh::deviation::texture_deviation;
+use pb_mesh::material::Material;
 use pb_mesh::mesh::Mesh;
 use pb_mesh::segment::{Segmentation, segment};
 use pb_mesh::simplify::{UnisonInput, simplify};
+use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
+use tiles::fill_tiles;
 
 /// Most neighbours that border slots can name.
 const MAX_NEIGHBOURS: usize = 255;
 /// Default for [`BakeOptions::cluster_triangles`]; docs/performance.md has the measurement behind it.
 pub const DEFAULT_CLUSTER_TRIANGLES: usize = 16_384;
+
+/// Most triangles of a cluster with textures: in the worst case each has three vertices of its own, and indices are u16.
+const MAX_TEXTURED_TRIANGLES: usize = 21_845;
 
 /// What the user may choose.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,17 +60,34 @@ impl Default for BakeOptions {
     }
 }
 
+/// The images of a textured mesh, and how they go into the archive.
+#[derive(Clone, Copy)]
+pub struct TextureInput<'a> {
+    /// Those of the scene, which [`Texturing`](pb_mesh::mesh::Texturing) refers to.
+    pub materials: &'a [Material],
+    /// Those of the scene; `None` for images that no material needs.
+    pub images: &'a [Option<Image>],
+    /// How charts and tiles are made.
+    pub charts: ChartOptions<'a>,
+    /// How texels are stored.
+    pub texels: TexelOptions,
+}
+
 /// Steps of the bake, for progress displays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// Segmentation, grid, neighbourhoods.
     Segment,
+    /// Charts and their places in tiles; only with textures.
+    Charts,
     /// Simplification in unison.
     Simplify,
     /// Distances of all levels to the input.
     Measure,
     /// Vertex order, index buffers, packing.
     Pack,
+    /// Texels resampled and packed; only with textures.
+    Textures,
 }
 
 /// Counts that the archive does not hold.
@@ -67,6 +99,8 @@ pub struct BakeReport {
     pub corner_positions: u64,
     /// Average cache misses per triangle, per level.
     pub acmr: Vec<f32>,
+    /// What became of the textures, where there are any.
+    pub charts: Option<ChartSummary>,
 }
 
 /// Options that cannot be baked.
@@ -84,9 +118,12 @@ pub enum BakeError {
     /// Too much for 32-bit indices.
     #[error("the mesh has {0} triangles; at most 1000000000 can be baked in one piece")]
     TooLarge(usize),
+    /// Tile size out of range.
+    #[error("--tile-size {0} is not possible; choose a power of two from 32 to 4096")]
+    TileSize(u32),
 }
 
-/// Bakes a mesh. `progress` is called from any thread with a stage and the share of it that is done.
+/// Bakes a mesh without textures. `progress` is called from any thread with a stage and the share of it that is done.
 ///
 /// # Errors
 /// [`BakeError`] for options out of range.
@@ -96,28 +133,80 @@ pub fn bake(
     options: &BakeOptions,
     progress: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport), BakeError> {
-    check(mesh, options)?;
+    bake_textured(mesh, None, triangles_in, options, progress)
+}
+
+/// The same with its textures; they are left out where the mesh has no [`Texturing`](pb_mesh::mesh::Texturing).
+///
+/// # Errors
+/// [`BakeError`] for options out of range.
+pub fn bake_textured(
+    mesh: &Mesh,
+    textures: Option<&TextureInput>,
+    triangles_in: u64,
+    options: &BakeOptions,
+    progress: &(dyn Fn(Stage, f32) + Sync),
+) -> Result<(BakedModel, BakeReport), BakeError> {
+    let textures = textures.filter(|_| mesh.texturing.is_some());
+    check(mesh, textures, options)?;
     let levels = options.levels as usize;
     progress(Stage::Segment, 0.0);
     let triangles: Vec<[u32; 3]> =
         (0..mesh.triangles.len()).into_par_iter().map(|t| mesh.corner_positions(t)).collect();
-    let clusters = Clusters::new(mesh, &triangles, options.cluster_triangles);
-    progress(Stage::Simplify, 0.0);
-    let collapses = simplify(&clusters.unison(&triangles, &normals(mesh)), levels, options.ratio, &|x| {
-        progress(Stage::Simplify, x)
+    let max_triangles = match textures {
+        Some(_) => options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES),
+        None => options.cluster_triangles,
+    };
+    let clusters = Clusters::new(mesh, &triangles, max_triangles);
+    let tiles = textures.map(|t| {
+        progress(Stage::Charts, 0.0);
+        let input =
+            ChartInput { mesh, triangles: &triangles, clusters: &clusters, materials: t.materials, images: t.images };
+        make_tiles(&input, &t.charts, &|x| progress(Stage::Charts, x))
     });
+    progress(Stage::Simplify, 0.0);
+    let normals = normals(mesh);
+    let unison = clusters.unison(&triangles, &normals, tiles.as_ref());
+    let collapses = simplify(&unison, levels, options.ratio, &|x| progress(Stage::Simplify, x));
     progress(Stage::Measure, 0.0);
-    let errors = measure_levels(&triangles, &clusters, &collapses, levels, &|x| progress(Stage::Measure, x));
+    let mut errors = measure_levels(&triangles, &clusters, &collapses, levels, &|x| progress(Stage::Measure, x));
+    if let Some(tiles) = &tiles {
+        let (points, segmentation) = (&clusters.grid.points, &clusters.segmentation);
+        let slides = texture_deviation(points, &triangles, segmentation, &tiles.uv_input(), &collapses);
+        add_slides(&mut errors, &slides, clusters.grid.quantum);
+    }
     progress(Stage::Pack, 0.0);
-    let (model, acmr) =
-        assemble(mesh, triangles_in, &triangles, &clusters, &collapses, &errors, levels, &|x| progress(Stage::Pack, x));
+    let finished = Finished {
+        mesh,
+        triangles_in,
+        triangles: &triangles,
+        clusters: &clusters,
+        tiles: tiles.as_ref(),
+        collapses: &collapses,
+        errors: &errors,
+        levels,
+    };
+    let (mut model, order, acmr) = assemble(&finished, &|x| progress(Stage::Pack, x));
+    if let (Some(input), Some(tiles)) = (textures, &tiles) {
+        progress(Stage::Textures, 0.0);
+        fill_tiles(&finished, input, tiles, &order, &mut model, &|x| progress(Stage::Textures, x));
+    }
     let locked = clusters.kinds.iter().filter(|k| **k == Kind::Locked).count() as u64;
-    let report =
-        BakeReport { non_manifold_positions: clusters.broken, corner_positions: locked - clusters.broken, acmr };
+    let report = BakeReport {
+        non_manifold_positions: clusters.broken,
+        corner_positions: locked - clusters.broken,
+        acmr,
+        charts: tiles.as_ref().map(Tiles::summary),
+    };
     Ok((model, report))
 }
 
-fn check(mesh: &Mesh, options: &BakeOptions) -> Result<(), BakeError> {
+fn check(mesh: &Mesh, textures: Option<&TextureInput>, options: &BakeOptions) -> Result<(), BakeError> {
+    if let Some(size) = textures.map(|t| t.charts.tile_size)
+        && !(size.is_power_of_two() && (32..=1 << MAX_SIZE_LOG2).contains(&size))
+    {
+        return Err(BakeError::TileSize(size));
+    }
     if !(1..=MAX_LEVELS as u32).contains(&options.levels) {
         return Err(BakeError::Levels(options.levels));
     }
@@ -169,7 +258,12 @@ impl Clusters {
         Clusters { segmentation, cluster_of, fans, kinds, broken, grid }
     }
 
-    fn unison<'a>(&'a self, triangles: &'a [[u32; 3]], normals: &'a [Vec3]) -> UnisonInput<'a> {
+    fn unison<'a>(
+        &'a self,
+        triangles: &'a [[u32; 3]],
+        normals: &'a [Vec3],
+        tiles: Option<&'a Tiles>,
+    ) -> UnisonInput<'a> {
         UnisonInput {
             positions: &self.grid.points,
             normals,
@@ -178,7 +272,7 @@ impl Clusters {
             cluster_of: &self.cluster_of,
             fans: &self.fans,
             kinds: &self.kinds,
-            texture: None,
+            texture: tiles.map(Tiles::uv_input),
         }
     }
 

@@ -1,0 +1,206 @@
+//! One cluster on its way to a tile: which charts it gets, at which density.
+
+use super::charting::{ChartInput, ChartMode, ChartOptions, ClusterTile, Origin};
+use glam::{DVec2, DVec3, IVec3};
+use pb_mesh::charts::{AutoOptions, Charts, ClusterSurface, Fit, PackOptions, auto_charts, pack, source_charts};
+use pb_mesh::material::{Material, Slot, TextureRef};
+use pb_mesh::mesh::Texturing;
+use std::collections::BTreeMap;
+
+/// Keys of triangles without an image start here: they never share a chart with others.
+const PLAIN: u32 = 1 << 31;
+/// Where vertex colours are all there is, a tile has this many texels per mean edge length.
+const TEXELS_PER_EDGE: f64 = 2.0;
+/// Share of a surface whose texels are at most as large as a tile's or a chart's texel size says.
+const TEXEL_PERCENTILE: f64 = 0.95;
+/// New charts may be this much sparser than their source, where the next larger tile would be four times as many texels.
+const MIN_SCALE: f32 = 0.85;
+/// Share of a chart that is sampled at least as densely as its source.
+const DENSITY_PERCENTILE: f64 = 0.9;
+
+/// A cluster in local indices, with what the source says about its triangles.
+pub(super) struct Part {
+    positions: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+    /// Texels of the source per corner; all equal where there is no image.
+    texels: Vec<[[f32; 2]; 3]>,
+    /// Triangles of different keys have different images.
+    keys: Vec<u32>,
+    /// Some triangle without an image has corners of different colours.
+    shaded: bool,
+}
+
+impl Part {
+    /// Cluster `c` of the input.
+    pub fn new(input: &ChartInput, texturing: &Texturing, c: usize) -> Part {
+        let members = input.clusters.segmentation.cluster(c);
+        let mut global: Vec<u32> = members.iter().flat_map(|&t| input.triangles[t as usize]).collect();
+        global.sort_unstable();
+        global.dedup();
+        let point = |v: u32| IVec3::from_array(input.clusters.grid.points[v as usize]);
+        let origin = point(global[0]);
+        let local = |v: u32| global.binary_search(&v).expect("collected above") as u32;
+        let mut part = Part {
+            positions: global.iter().map(|&v| (point(v) - origin).as_vec3().to_array()).collect(),
+            triangles: members.iter().map(|&t| input.triangles[t as usize].map(local)).collect(),
+            texels: Vec::with_capacity(members.len()),
+            keys: Vec::with_capacity(members.len()),
+            shaded: false,
+        };
+        let mut plain_looks: BTreeMap<(u32, [u8; 4]), u32> = BTreeMap::new();
+        for &t in members {
+            let material = texturing.material_of[t as usize];
+            let texture = input.materials.get(material as usize).and_then(chart_texture);
+            match texture.and_then(|t| Some((t, input.images[t.image as usize].as_ref()?))) {
+                Some((texture, image)) => {
+                    let size = [image.width() as f32, image.height() as f32];
+                    let uv = texturing.corner_uvs.get(texture.uv_set as usize).map_or([[0.0; 2]; 3], |s| s[t as usize]);
+                    part.texels.push(uv.map(|uv| std::array::from_fn(|k| texture.apply(uv)[k] * size[k])));
+                    part.keys.push(material);
+                }
+                None => {
+                    let colors = input.mesh.triangles[t as usize].map(|w| input.mesh.wedges[w as usize].color);
+                    part.shaded |= colors[0] != colors[1] || colors[1] != colors[2];
+                    let next = plain_looks.len() as u32;
+                    let number = *plain_looks.entry((material, colors[0])).or_insert(next);
+                    part.texels.push([[0.0; 2]; 3]);
+                    part.keys.push(PLAIN + number);
+                }
+            }
+        }
+        part
+    }
+
+    fn surface(&self) -> ClusterSurface<'_> {
+        ClusterSurface { positions: &self.positions, triangles: &self.triangles }
+    }
+
+    /// Cuts the cluster into charts and packs them.
+    pub fn tile(&self, options: &ChartOptions) -> ClusterTile {
+        let (charts, origin) = self.charts(options);
+        let densities = match origin {
+            Origin::Source => vec![1.0; charts.count as usize],
+            _ => self.densities(&charts),
+        };
+        let fit = if matches!(origin, Origin::Source) { Fit::WholeTexels } else { Fit::Free };
+        let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale: MIN_SCALE });
+        let (texel, side) = self.texel_sizes(&packed.corners, packed.size);
+        ClusterTile {
+            size: packed.size,
+            texel,
+            side,
+            charts: packed.count,
+            fill: packed.fill,
+            reduced: packed.scale < f64::from(MIN_SCALE),
+            origin,
+            corners: packed.corners,
+            chart_of: packed.chart_of,
+        }
+    }
+
+    fn charts(&self, options: &ChartOptions) -> (Charts, Origin) {
+        let mut why = None;
+        if options.mode != ChartMode::Auto {
+            let (charts, report) = source_charts(&self.surface(), &self.texels, &self.keys);
+            let usable = match self.shaded {
+                true => Err("vertex colours without an image".to_string()),
+                false => report.usable(),
+            };
+            match usable {
+                _ if options.mode == ChartMode::Source => return (charts, Origin::Source),
+                Ok(()) => return (charts, Origin::Source),
+                // Counts differ from cluster to cluster; what they are of does not.
+                Err(reason) => why = reason.split(':').next().map(str::to_owned),
+            }
+        }
+        match options.charter.and_then(|charter| charter(&self.surface())) {
+            Some(charts) => (charts, Origin::Given),
+            None => (auto_charts(&self.surface(), &AutoOptions::default(), None).0, Origin::Auto(why)),
+        }
+    }
+
+    fn corners(&self, t: usize) -> [DVec3; 3] {
+        self.triangles[t].map(|v| DVec3::from(self.positions[v as usize].map(f64::from)))
+    }
+
+    /// Texels per unit of every chart, so that nearly all of it is as dense as its source.
+    fn densities(&self, charts: &Charts) -> Vec<f32> {
+        let edges = (0..self.triangles.len()).flat_map(|t| {
+            let [a, b, c] = self.corners(t);
+            [a.distance(b), b.distance(c), c.distance(a)]
+        });
+        let plain = match self.shaded {
+            true => TEXELS_PER_EDGE * (3 * self.triangles.len()) as f64 / edges.sum::<f64>().max(f64::MIN_POSITIVE),
+            false => 0.0,
+        };
+        let mut samples: Vec<Vec<(f64, f64)>> = vec![Vec::new(); charts.count as usize];
+        for t in 0..self.triangles.len() {
+            let uv = self.texels[t].map(|p| DVec2::new(p[0].into(), p[1].into()));
+            let (area, density) = match self.keys[t] >= PLAIN {
+                true => (area2(self.corners(t)), plain),
+                // Texels per unit along the direction that has most.
+                false => (area2(self.corners(t)), largest_stretch(self.corners(t), uv).1),
+            };
+            if density.is_finite() {
+                samples[charts.chart_of[t] as usize].push((density, area));
+            }
+        }
+        samples.iter_mut().map(|s| percentile(s, DENSITY_PERCENTILE).unwrap_or(0.0).max(1e-9) as f32).collect()
+    }
+
+    /// Side of most texels on the surface at most, and length of the tile's side on the surface; quanta.
+    fn texel_sizes(&self, corners: &[[[u16; 2]; 3]], size: u32) -> (f32, f32) {
+        let unit = f64::from(size) / 65_536.0;
+        let (mut samples, mut area, mut texels) = (Vec::with_capacity(corners.len()), 0.0, 0.0);
+        for (t, corners) in corners.iter().enumerate() {
+            let uv = corners.map(|p| DVec2::new(p[0].into(), p[1].into()) * unit);
+            let (stretch, _) = largest_stretch(self.corners(t), uv);
+            if stretch.is_finite() {
+                let a = area2(self.corners(t));
+                samples.push((stretch, a));
+                area += a;
+                texels += (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]);
+            }
+        }
+        // A tile of one colour is as good as any other at any distance.
+        let Some(texel) = percentile(&mut samples, TEXEL_PERCENTILE) else { return (f32::MAX / 1e6, 1.0) };
+        let side = f64::from(size) * (area / texels).sqrt();
+        ((texel as f32).max(f32::MIN_POSITIVE), (side as f32).max(f32::MIN_POSITIVE))
+    }
+}
+
+/// The image whose coordinates make the charts of a material: that of the colour where there is one.
+fn chart_texture(material: &Material) -> Option<&TextureRef> {
+    const ORDER: [Slot; 5] = [Slot::BaseColor, Slot::Emissive, Slot::Normal, Slot::MetallicRoughness, Slot::Occlusion];
+    ORDER.iter().find_map(|&slot| material.texture(slot))
+}
+
+/// Twice the area of a triangle.
+fn area2([a, b, c]: [DVec3; 3]) -> f64 {
+    (b - a).cross(c - a).length()
+}
+
+/// The largest singular value of the map from (u, v) to the surface (Sander et al. 2001, section 3), and that of its
+/// inverse; infinite where there is none.
+fn largest_stretch(p: [DVec3; 3], uv: [DVec2; 3]) -> (f64, f64) {
+    let (s, t) = (uv[1] - uv[0], uv[2] - uv[0]);
+    let area = s.perp_dot(t);
+    let (e, f) = (p[1] - p[0], p[2] - p[0]);
+    let (du, dv) = ((e * t.y - f * s.y) / area, (f * s.x - e * t.x) / area);
+    let (a, b, c) = (du.length_squared(), du.dot(dv), dv.length_squared());
+    let (mean, spread) = ((a + c) / 2.0, ((a - c) / 2.0).hypot(b));
+    let (largest, smallest) = ((mean + spread).sqrt(), (mean - spread).max(0.0).sqrt());
+    if area == 0.0 || !largest.is_finite() { (f64::INFINITY, f64::INFINITY) } else { (largest, 1.0 / smallest) }
+}
+
+/// The value that this share of the weight is at most; (value, weight) pairs.
+fn percentile(samples: &mut [(f64, f64)], share: f64) -> Option<f64> {
+    samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let total: f64 = samples.iter().map(|s| s.1).sum();
+    let mut sum = 0.0;
+    let at = samples.iter().position(|s| {
+        sum += s.1;
+        sum >= total * share
+    });
+    at.map(|i| samples[i].0)
+}

@@ -1,0 +1,195 @@
+//! Charts and tiles of a bake: every cluster is cut into charts, which are packed into its tile
+//! (docs/decisions/007-textures.md). What comes out is integers; simplification and drawing use the very same.
+
+use super::Clusters;
+use super::chart_part::Part;
+use pb_mesh::charts::{Charts, ClusterSurface};
+use pb_mesh::material::Material;
+use pb_mesh::mesh::Mesh;
+use pb_mesh::simplify::UvInput;
+use pb_mesh::texture::image::Image;
+use rayon::prelude::*;
+
+/// Default for [`ChartOptions::tile_size`]: as many texels as the source asks for.
+pub const DEFAULT_TILE_SIZE: u32 = 4096;
+
+/// Where charts come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChartMode {
+    /// The source's where they are usable, new ones elsewhere; decided for every cluster.
+    #[default]
+    Best,
+    /// The source's always.
+    Source,
+    /// New ones always.
+    Auto,
+}
+
+/// Makes charts of a cluster in another way than the built-in one; `None` where it fails.
+pub type Charter<'a> = &'a (dyn Fn(&ClusterSurface) -> Option<Charts> + Sync);
+
+/// How charts and tiles are made.
+#[derive(Clone, Copy)]
+pub struct ChartOptions<'a> {
+    /// Where charts come from.
+    pub mode: ChartMode,
+    /// Widest tile, texels: a power of two.
+    pub tile_size: u32,
+    /// Used for new charts before the built-in method.
+    pub charter: Option<Charter<'a>>,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ChartSummary {
+    /// Clusters with the source's charts.
+    pub source_clusters: u64,
+    /// Clusters with new charts from the built-in method.
+    pub auto_clusters: u64,
+    /// Clusters with charts from the caller's method.
+    pub given_clusters: u64,
+    /// Why source charts were not used, and in how many clusters.
+    pub reasons: Vec<(String, u64)>,
+    /// All charts.
+    pub charts: u64,
+    /// Texels of all tiles at level 0.
+    pub texels: u64,
+    /// Share of them that charts cover.
+    pub fill: f64,
+    /// Clusters whose tile has fewer texels than the source asks for.
+    pub reduced_clusters: u64,
+}
+
+/// The tiles of all clusters and the texture coordinates of the mesh.
+pub(super) struct Tiles {
+    /// Per triangle corner: UV wedge.
+    pub corners: Vec<[u32; 3]>,
+    /// Per UV wedge.
+    pub position_of: Vec<u32>,
+    /// Per UV wedge, units of 1/65536 tile.
+    pub uv: Vec<[u16; 2]>,
+    /// Per cluster: length of the tile's side on the surface, quanta.
+    pub side: Vec<f32>,
+    /// Per cluster.
+    pub tiles: Vec<ClusterTile>,
+}
+
+/// The tile of one cluster.
+pub(super) struct ClusterTile {
+    /// Texels per side.
+    pub size: u32,
+    /// Texture coordinates per corner, in the order of the cluster's triangles.
+    pub corners: Vec<[[u16; 2]; 3]>,
+    /// Chart per triangle, in the same order.
+    pub chart_of: Vec<u32>,
+    /// Side of most texels on the surface at most, quanta.
+    pub texel: f32,
+    /// Length of the tile's side on the surface, quanta.
+    pub side: f32,
+    /// How many.
+    pub charts: u32,
+    /// Share of the texels that they cover.
+    pub fill: f64,
+    /// Fewer texels than the source asks for.
+    pub reduced: bool,
+    /// Where they come from.
+    pub origin: Origin,
+}
+
+/// Where the charts of a cluster come from.
+pub(super) enum Origin {
+    Source,
+    /// Built in; why not the source's, if they were asked for.
+    Auto(Option<String>),
+    Given,
+}
+
+/// What charts are made from.
+pub(super) struct ChartInput<'a> {
+    pub mesh: &'a Mesh,
+    /// Position indices.
+    pub triangles: &'a [[u32; 3]],
+    pub clusters: &'a Clusters,
+    pub materials: &'a [Material],
+    pub images: &'a [Option<Image>],
+}
+
+/// Charts and packs all clusters.
+pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, progress: &(dyn Fn(f32) + Sync)) -> Tiles {
+    let count = input.clusters.segmentation.len();
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let texturing = input.mesh.texturing.as_ref().expect("only textured meshes have tiles");
+    let tiles: Vec<ClusterTile> = (0..count)
+        .into_par_iter()
+        .map(|c| {
+            let tile = Part::new(input, texturing, c).tile(options);
+            progress((done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1) as f32 / count as f32);
+            tile
+        })
+        .collect();
+    number(input, tiles)
+}
+
+/// Gives UV wedges their numbers: cluster after cluster, ascending by position.
+fn number(input: &ChartInput, tiles: Vec<ClusterTile>) -> Tiles {
+    let mut out = Tiles {
+        corners: vec![[0; 3]; input.triangles.len()],
+        position_of: Vec::new(),
+        uv: Vec::new(),
+        side: tiles.iter().map(|t| t.side).collect(),
+        tiles: Vec::new(),
+    };
+    for (c, tile) in tiles.iter().enumerate() {
+        let members = input.clusters.segmentation.cluster(c);
+        let mut corners: Vec<(u32, u32, [u16; 2], u32, u8)> = Vec::with_capacity(members.len() * 3);
+        for (i, &t) in members.iter().enumerate() {
+            let corner = |k: usize| (input.triangles[t as usize][k], tile.chart_of[i], tile.corners[i][k], t, k as u8);
+            corners.extend((0..3).map(corner));
+        }
+        corners.sort_unstable();
+        for (i, &(position, chart, uv, t, k)) in corners.iter().enumerate() {
+            if i == 0 || (corners[i - 1].0, corners[i - 1].1, corners[i - 1].2) != (position, chart, uv) {
+                out.position_of.push(position);
+                out.uv.push(uv);
+            }
+            out.corners[t as usize][k as usize] = out.uv.len() as u32 - 1;
+        }
+    }
+    out.tiles = tiles;
+    out
+}
+
+impl Tiles {
+    /// For the simplification.
+    pub fn uv_input(&self) -> UvInput<'_> {
+        UvInput { corners: &self.corners, position_of: &self.position_of, uv: &self.uv, tile_side: &self.side }
+    }
+
+    /// Counts for reports.
+    pub fn summary(&self) -> ChartSummary {
+        let mut sum = ChartSummary::default();
+        let mut covered = 0.0;
+        for tile in &self.tiles {
+            let texels = u64::from(tile.size) * u64::from(tile.size);
+            sum.charts += u64::from(tile.charts);
+            sum.texels += texels;
+            sum.reduced_clusters += u64::from(tile.reduced);
+            covered += tile.fill * texels as f64;
+            match &tile.origin {
+                Origin::Source => sum.source_clusters += 1,
+                Origin::Given => sum.given_clusters += 1,
+                Origin::Auto(why) => {
+                    sum.auto_clusters += 1;
+                    if let Some(why) = why {
+                        match sum.reasons.iter_mut().find(|r| r.0 == *why) {
+                            Some(known) => known.1 += 1,
+                            None => sum.reasons.push((why.clone(), 1)),
+                        }
+                    }
+                }
+            }
+        }
+        sum.fill = covered / sum.texels.max(1) as f64;
+        sum
+    }
+}

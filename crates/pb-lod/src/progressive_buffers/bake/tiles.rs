@@ -1,0 +1,229 @@
+//! The texels of every tile: resampled from the source's images, filled, packed, and cut into chunks.
+
+use super::assemble::Finished;
+use super::charting::Tiles;
+use super::{Clusters, TextureInput};
+use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_TEXTURES};
+use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
+use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
+use glam::IVec3;
+use pb_mesh::material::Material;
+use pb_mesh::mesh::{Mesh, Texturing};
+use pb_mesh::texture::image::Image;
+use pb_mesh::texture::{
+    self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
+};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How texels are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TexelOptions {
+    /// How long to search for good blocks.
+    pub quality: Quality,
+    /// Blocks of 4 x 4 texels; else plain texels, which take 4 times the room.
+    pub compress: bool,
+    /// Of normal maps.
+    pub normal_space: NormalSpace,
+}
+
+impl Default for TexelOptions {
+    fn default() -> Self {
+        TexelOptions { quality: Quality::default(), compress: true, normal_space: NormalSpace::default() }
+    }
+}
+
+/// One map of the model, and how it is made.
+struct Map {
+    record: MapRecord,
+    kind: texture::MapKind,
+    format: BlockFormat,
+    hdr: bool,
+}
+
+/// The maps that a model with these materials has.
+fn maps(materials: &[Material], images: &[Option<Image>], options: &TexelOptions) -> Vec<Map> {
+    const KINDS: [(texture::MapKind, MapKind); 4] = [
+        (texture::MapKind::BaseColor, MapKind::BaseColor),
+        (texture::MapKind::Orm, MapKind::Orm),
+        (texture::MapKind::Normal, MapKind::Normal),
+        (texture::MapKind::Emissive, MapKind::Emissive),
+    ];
+    let cut_out = materials.iter().any(|m| m.alpha_cutoff.is_some());
+    let used = KINDS.into_iter().filter(|(kind, _)| kind.is_used_by(materials));
+    used.map(|(kind, stored)| {
+        let hdr = kind.is_hdr(materials, images);
+        let tangent = options.normal_space == NormalSpace::Tangent;
+        let (format, record) = match (kind, options.compress) {
+            // Blocks of halves have no alpha.
+            (texture::MapKind::BaseColor, true) if hdr && cut_out => (BlockFormat::RgbaF16, MapFormat::RgbaF16),
+            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) if hdr => {
+                (BlockFormat::Bc6h, MapFormat::Bc6h)
+            }
+            (texture::MapKind::BaseColor | texture::MapKind::Emissive, false) if hdr => {
+                (BlockFormat::RgbaF16, MapFormat::RgbaF16)
+            }
+            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) => (BlockFormat::Bc7, MapFormat::Bc7Srgb),
+            (texture::MapKind::BaseColor | texture::MapKind::Emissive, false) => {
+                (BlockFormat::Rgba8, MapFormat::Rgba8Srgb)
+            }
+            (texture::MapKind::Normal, true) if tangent => (BlockFormat::Bc5, MapFormat::Bc5),
+            (texture::MapKind::Normal, false) if tangent => (BlockFormat::Rg8, MapFormat::Rg8),
+            (_, true) => (BlockFormat::Bc7, MapFormat::Bc7Linear),
+            (_, false) => (BlockFormat::Rgba8, MapFormat::Rgba8Linear),
+        };
+        Map { record: MapRecord::new(stored, record), kind, format, hdr }
+    })
+    .collect()
+}
+
+/// Fills all tiles: maps, tiles and texture chunks of the model, in the given order of the clusters.
+pub(super) fn fill_tiles(
+    finished: &Finished,
+    input: &TextureInput,
+    tiles: &Tiles,
+    order: &[u32],
+    model: &mut BakedModel,
+    progress: &(dyn Fn(f32) + Sync),
+) {
+    let maps = maps(input.materials, input.images, &input.texels);
+    let baker = TileBaker {
+        mesh: finished.mesh,
+        texturing: finished.mesh.texturing.as_ref().expect("only textured meshes have tiles"),
+        triangles: finished.triangles,
+        clusters: finished.clusters,
+        tiles,
+        input,
+        maps: &maps,
+        materials: input.materials.iter().cloned().chain([Material::default()]).collect(),
+        levels: finished.levels as u32,
+    };
+    let done = AtomicUsize::new(0);
+    let baked: Vec<(TileRecord, Vec<EncodedChunk>)> = order
+        .par_iter()
+        .map(|&c| {
+            let tile = baker.bake(c as usize);
+            progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / order.len() as f32);
+            tile
+        })
+        .collect();
+    for (tile, chunks) in baked {
+        model.tiles.push(tile);
+        model.chunks.extend(chunks);
+    }
+    model.maps = maps.iter().map(|m| m.record).collect();
+    let cut_out = input.materials.iter().any(|m| m.alpha_cutoff.is_some());
+    model.record.flags = FLAG_TEXTURES | if cut_out { FLAG_CUTOUT } else { 0 };
+}
+
+/// What tiles are filled from.
+struct TileBaker<'a> {
+    mesh: &'a Mesh,
+    texturing: &'a Texturing,
+    /// Position indices.
+    triangles: &'a [[u32; 3]],
+    clusters: &'a Clusters,
+    tiles: &'a Tiles,
+    input: &'a TextureInput<'a>,
+    maps: &'a [Map],
+    /// Those of the input, and one for triangles without.
+    materials: Vec<Material>,
+    levels: u32,
+}
+
+impl TileBaker<'_> {
+    /// The tile of cluster `c` and its texture chunks, finest level first.
+    fn bake(&self, c: usize) -> (TileRecord, Vec<EncodedChunk>) {
+        let tile = &self.tiles.tiles[c];
+        let members = self.clusters.segmentation.cluster(c);
+        let open_edges: Vec<u8> = members.iter().map(|&t| self.open_edges(t)).collect();
+        let layout =
+            TileLayout { size: tile.size, corners: &tile.corners, chart_of: &tile.chart_of, open_edges: &open_edges };
+        let coverage = Coverage::new(&layout);
+        let mips = self.mips(&layout, &coverage, members);
+        let size_log2 = tile.size.trailing_zeros() as u8;
+        let mut record = TileRecord {
+            size_log2,
+            first: [0; 4],
+            reserved: [0; 3],
+            texel: (tile.texel * self.clusters.grid.quantum as f32).clamp(f32::MIN_POSITIVE, f32::MAX),
+        };
+        for (k, mips) in mips.iter().enumerate() {
+            record.first[k] = size_log2 - mips.size.trailing_zeros() as u8;
+        }
+        let records: Vec<MapRecord> = self.maps.iter().map(|m| m.record).collect();
+        let encoded: Vec<Vec<Vec<u8>>> =
+            mips.iter().zip(self.maps).map(|(mips, map)| self.encoded(mips, map)).collect();
+        let chunk = |level: u32| {
+            let mut bytes = Vec::new();
+            for place in chunk_mips(&records, &record, level, self.levels) {
+                let map = place.map as usize;
+                bytes.extend(&encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
+            }
+            EncodedChunk { decoded_bytes: bytes.len() as u32, bytes }
+        };
+        (record, (0..self.levels).map(chunk).collect())
+    }
+
+    fn encoded(&self, mips: &Mips, map: &Map) -> Vec<Vec<u8>> {
+        let each = mips.levels.iter().enumerate();
+        each.map(|(i, texels)| encode(texels, mips.side(i), map.format, self.input.texels.quality)).collect()
+    }
+
+    /// All maps of a tile.
+    fn mips(&self, layout: &TileLayout, coverage: &Coverage, members: &[u32]) -> Vec<Mips> {
+        let wedge = |w: u32| &self.mesh.wedges[w as usize];
+        let per_triangle = |t: &u32| self.mesh.triangles[*t as usize];
+        let none = self.input.materials.len() as u32;
+        let material_of: Vec<u32> = members.iter().map(|&t| self.texturing.material_of[t as usize].min(none)).collect();
+        let of_set = |set: &Vec<[[f32; 2]; 3]>| members.iter().map(|&t| set[t as usize]).collect();
+        let uv_sets: Vec<Vec<[[f32; 2]; 3]>> = self.texturing.corner_uvs.iter().map(of_set).collect();
+        let colors: Vec<_> = match self.mesh.has_colors {
+            true => members.iter().map(|t| per_triangle(t).map(|w| wedge(w).color)).collect(),
+            false => Vec::new(),
+        };
+        let needs_normals = self.maps.iter().any(|m| m.kind == texture::MapKind::Normal);
+        let (mut normals, mut positions) = (Vec::new(), Vec::new());
+        if needs_normals {
+            let point = |v: u32| IVec3::from_array(self.clusters.grid.points[v as usize]);
+            let origin = point(self.triangles[members[0] as usize][0]);
+            normals = members.iter().map(|t| per_triangle(t).map(|w| wedge(w).normal)).collect();
+            let place = |&t: &u32| self.triangles[t as usize].map(|v| (point(v) - origin).as_vec3().to_array());
+            positions = members.iter().map(place).collect();
+        }
+        let source = TileSource {
+            materials: &self.materials,
+            images: self.input.images,
+            material_of: &material_of,
+            uv_sets: &uv_sets,
+            colors: &colors,
+            normals: &normals,
+            positions: &positions,
+        };
+        let bake = |map: &Map| {
+            let options = BakeOptions { hdr: map.hdr, normal_space: self.input.texels.normal_space };
+            bake_tile(&source, layout, coverage, map.kind, options)
+        };
+        self.maps.iter().map(bake).collect()
+    }
+
+    /// Bit k: beyond edge k of a triangle the source's images go on, in a neighbour of the same material.
+    fn open_edges(&self, t: u32) -> u8 {
+        let corners = self.triangles[t as usize];
+        let material = self.texturing.material_of[t as usize];
+        let is_open = |k: usize| {
+            let (a, b) = (corners[k], corners[(k + 1) % 3]);
+            let mut around = self.clusters.fans.around(a).iter().filter(|&&o| o != t);
+            around.any(|&o| {
+                let other = self.triangles[o as usize];
+                let Some(at) = (0..3).find(|&j| other[j] == b && other[(j + 1) % 3] == a) else { return false };
+                let same = |set: &Vec<[[f32; 2]; 3]>| {
+                    let (own, its) = (set[t as usize], set[o as usize]);
+                    own[k] == its[(at + 1) % 3] && own[(k + 1) % 3] == its[at]
+                };
+                self.texturing.material_of[o as usize] == material && self.texturing.corner_uvs.iter().all(same)
+            })
+        };
+        (0..3).filter(|&k| is_open(k)).map(|k| 1 << k).sum()
+    }
+}
