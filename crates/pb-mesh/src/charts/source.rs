@@ -15,7 +15,7 @@ const SAMPLES: usize = 256;
 /// More charts than connected parts by this many per cluster are no reason to make new ones.
 pub const FEW_EXTRA_CHARTS: u64 = 16;
 /// Fewer triangles than this per extra chart are fragments: seams would keep the surface from getting simple.
-pub const MIN_TRIANGLES_PER_EXTRA_CHART: u64 = 40;
+pub const MIN_TRIANGLES_PER_EXTRA_CHART: u64 = 400;
 /// Texels per length may vary by this factor (geometric standard deviation over the area).
 pub const MAX_DENSITY_SPREAD: f64 = 4.0;
 /// Texels may be this much longer than wide on the surface (geometric mean over the area).

@@ -14,6 +14,8 @@ use rayon::prelude::*;
 
 /// Cells along a side of a chart's grid at most.
 const MAX_CELLS: usize = 256;
+/// See [`TextureDeviation::most`].
+const MOST_PERCENT: usize = 95;
 
 /// Slides of a level, grid quanta.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,6 +23,9 @@ pub struct TextureDeviation {
     /// Largest slide per cluster. Outside of the level's chart: the distance from the chart in the tile, on the scale of
     /// its side, is added. Where a chart has vanished: the way to the place that its point has collapsed to.
     pub max: Vec<f32>,
+    /// Per cluster: 95 % of its wedges slide at most this far. A chart that vanishes, or a corner that leaves its chart,
+    /// counts in the maximum with lengths that nobody sees.
+    pub most: Vec<f32>,
     /// Sum of squared slides over the input's UV wedges, and how many they are.
     pub squares: (f64, u64),
 }
@@ -38,13 +43,33 @@ pub fn texture_deviation(
         let charts = ClusterCharts::new(positions, triangles, segmentation.cluster(c), uv, uv.unit(c));
         (0..levels as u8).map(|level| charts.slides(collapses, level)).collect()
     };
-    let clusters: Vec<Vec<(f32, f64, u64)>> = (0..segmentation.len()).into_par_iter().map(measure).collect();
+    let clusters: Vec<Vec<Slides>> = (0..segmentation.len()).into_par_iter().map(measure).collect();
     let of_level = |level: usize| {
         let each = || clusters.iter().map(move |c| c[level]);
-        let squares = each().fold((0.0, 0), |sum, c| (sum.0 + c.1, sum.1 + c.2));
-        TextureDeviation { max: each().map(|c| c.0).collect(), squares }
+        let squares = each().fold((0.0, 0), |sum, c| (sum.0 + c.squares, sum.1 + c.count));
+        TextureDeviation { max: each().map(|c| c.max).collect(), most: each().map(|c| c.most).collect(), squares }
     };
     (0..levels).map(of_level).collect()
+}
+
+/// Slides of one level of one cluster.
+#[derive(Clone, Copy)]
+struct Slides {
+    max: f32,
+    most: f32,
+    squares: f64,
+    count: u64,
+}
+
+impl Slides {
+    fn of(mut slides: Vec<f32>) -> Slides {
+        let (count, squares) = (slides.len(), slides.iter().map(|&s| f64::from(s).powi(2)).sum());
+        let most = match count {
+            0 => 0.0,
+            n => *slides.select_nth_unstable_by((n - 1) * MOST_PERCENT / 100, f32::total_cmp).1,
+        };
+        Slides { max: slides.iter().copied().fold(0.0, f32::max), most, squares, count: count as u64 }
+    }
 }
 
 /// The charts of a cluster in local wedges, those of a chart next to each other.
@@ -114,8 +139,8 @@ impl ClusterCharts {
         }
     }
 
-    /// The largest slide of a level, the sum of their squares, and how many were measured.
-    fn slides(&self, collapses: &Collapses, level: u8) -> (f32, f64, u64) {
+    /// The slides of a level.
+    fn slides(&self, collapses: &Collapses, level: u8) -> Slides {
         let local = |g: u32| {
             let i = self.by_global.binary_search_by_key(&g, |e| e.0).expect("a wedge of the cluster");
             self.by_global[i].1
@@ -128,18 +153,17 @@ impl ClusterCharts {
             coarse.filter(|t| at(t[0]) != at(t[1]) && at(t[1]) != at(t[2]) && at(t[2]) != at(t[0])).collect();
         coarse.sort_by_key(|t| self.chart[t[0] as usize]);
         let seams = seam_edges(&coarse);
-        let (mut worst, mut sum, mut count, mut from) = (0f32, 0f64, 0, 0);
+        let (mut all, mut from) = (Vec::with_capacity(self.global.len()), 0);
         for (k, wedges) in self.starts.windows(2).enumerate() {
             let end = from + coarse[from..].partition_point(|t| self.chart[t[0] as usize] == k as u32);
             let area = |t: &&[u32; 3]| signed_area(t.map(|w| self.uv[w as usize])) > 0.0;
             let located = Grid::new(self, coarse[from..end].iter().filter(area).copied().collect());
             for w in (wedges[0]..wedges[1]).filter(|&w| self.textured[w as usize]) {
-                let slid = self.slide(w, ancestors[w as usize], &located).max(self.shift(w, &ancestors, &seams));
-                (worst, sum, count) = (worst.max(slid), sum + f64::from(slid).powi(2), count + 1);
+                all.push(self.slide(w, ancestors[w as usize], &located).max(self.shift(w, &ancestors, &seams)));
             }
             from = end;
         }
-        (worst, sum, count)
+        Slides::of(all)
     }
 
     /// Distance of a wedge from the level's point with its (u, v).

@@ -99,13 +99,13 @@ pub(super) fn measure_levels(
     list
 }
 
-/// What slides on the surface is as wrong as what leaves it: bounds become the larger of the two, never falling towards
-/// coarse.
+/// What slides on the surface is as wrong as what leaves it: errors become the larger of the two, never falling towards
+/// coarse. Of slides that is what most of the surface stays below.
 pub(super) fn add_slides(errors: &mut [LevelErrors], slides: &[TextureDeviation], quantum: f64) {
     for level in 1..errors.len() {
         let (finer, own) = errors.split_at_mut(level);
         let finer = &finer[level - 1].max;
-        for ((max, slide), finer) in own[0].max.iter_mut().zip(&slides[level].max).zip(finer) {
+        for ((max, slide), finer) in own[0].max.iter_mut().zip(&slides[level].most).zip(finer) {
             *max = max.max((f64::from(*slide) * quantum) as f32).max(*finer);
         }
     }
