@@ -159,8 +159,8 @@ fn silhouette_off(coverage: &Path, view: &Path) -> Result<u64> {
 /// One line of the table; what pb-bake does not say is a dash.
 fn row(name: &str, figures: &Value) -> String {
     let bake = &figures["bake"];
-    let texels = bake.pointer("/textures/texels").and_then(Value::as_f64);
-    let bytes = bake.pointer("/textures/bytes").and_then(Value::as_f64);
+    let texels = bake.pointer("/textures/tile_texels").and_then(Value::as_f64);
+    let bytes = bake.pointer("/textures/tile_bytes").and_then(Value::as_f64);
     let ratio = texels.zip(bytes).filter(|(t, _)| *t > 0.0).map_or("–".into(), |(t, b)| format!("{:.2}", b / t));
     let of = |pointer: &str, digits: usize| {
         let one = |(view, _): (&str, Kind)| {
@@ -194,7 +194,7 @@ mod tests {
         let view = json!({ "ours": part, "full_images": part, "silhouette_off_px": 1 });
         let figures = json!({
             "triangles": 7, "source_texels": 9, "views": { "near": view, "close": view, "far": view },
-            "bake": { "bytes": 5, "seconds": 0.5, "textures": { "texels": 100, "bytes": 140 } },
+            "bake": { "bytes": 5, "seconds": 0.5, "textures": { "tile_texels": 100, "tile_bytes": 140 } },
         });
         let row = row("a", &figures);
         let cells = |line: &str| line.matches('|').count();

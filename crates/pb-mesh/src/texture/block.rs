@@ -82,12 +82,54 @@ pub fn encode(texels: &Texels, side: u32, format: BlockFormat, quality: Quality)
     }
 }
 
-fn encode_bc7(texels: &[[u8; 4]], side: u32, quality: Quality) -> Vec<u8> {
-    let settings = match quality {
+/// The same where some blocks are never looked at: BC7 blocks that are not `shown` (row by row) are black, which takes no
+/// time. Other formats are packed whole.
+///
+/// # Panics
+/// As [`encode`], or when there is not one flag per block.
+pub fn encode_shown(texels: &Texels, side: u32, format: BlockFormat, quality: Quality, shown: &[bool]) -> Vec<u8> {
+    assert_eq!(shown.len(), (side as usize / 4).pow(2), "a flag per block");
+    let (Texels::Rgba8(texels), BlockFormat::Bc7) = (texels, format) else {
+        return encode(texels, side, format, quality);
+    };
+    let (settings, across) = (bc7_settings(quality), side as usize / 4);
+    let mut bytes = vec![0; texels.len()];
+    let places: Vec<usize> = (0..shown.len()).filter(|&b| shown[b]).collect();
+    let hidden = bc7_blocks(&[0; 16], &settings);
+    bytes.chunks_exact_mut(16).zip(shown).filter(|b| !b.1).for_each(|(block, _)| block.copy_from_slice(&hidden));
+    for batch in places.chunks(BATCH) {
+        let texel = |block: usize, i: usize| {
+            let (x, y) = (block % across * 4 + i % 4, block / across * 4 + i / 4);
+            u32::from_ne_bytes(texels[y * side as usize + x])
+        };
+        let pixels: Vec<u32> = batch.iter().flat_map(|&b| (0..16).map(move |i| texel(b, i))).collect();
+        let packed = bc7_blocks(&pixels, &settings);
+        for (&place, block) in batch.iter().zip(packed.chunks_exact(16)) {
+            bytes[place * 16..][..16].copy_from_slice(block);
+        }
+    }
+    bytes
+}
+
+/// Blocks that are packed at a time.
+const BATCH: usize = 256;
+
+fn bc7_blocks(pixels: &[u32], settings: &bc7e::bindings::bc7e_compress_block_params) -> Vec<u8> {
+    let mut blocks = vec![0u64; pixels.len() / 8];
+    bc7e::compress_blocks(&mut blocks, pixels, settings);
+    blocks.iter().flat_map(|b| b.to_ne_bytes()).collect()
+}
+
+fn bc7_settings(quality: Quality) -> bc7e::bindings::bc7e_compress_block_params {
+    match quality {
         Quality::Fast => bc7e::params_init_veryfast(false),
         Quality::Normal => bc7e::params_init_slow(false),
         Quality::Best => bc7e::params_init_slowest(false),
-    };
+    }
+}
+
+fn encode_bc7(texels: &[[u8; 4]], side: u32, quality: Quality) -> Vec<u8> {
+    let settings = bc7_settings(quality);
     let side = side as usize;
     let mut bytes = Vec::with_capacity(side * side);
     let mut pixels = vec![0u32; side * 4];

@@ -105,6 +105,20 @@ impl Coverage {
         &row[first..first + row[first..].iter().take_while(|r| r.0 == texel).count()]
     }
 
+    /// Which blocks of 4 x 4 texels of a mip sampling may touch: those with a texel of a chart, and those around them.
+    pub fn shown_blocks(&self, mip: usize) -> Vec<bool> {
+        let Level { size, owner, .. } = &self.levels[mip];
+        let (size, across) = (*size as usize, *size as usize / 4);
+        let mut shown = vec![false; across * across];
+        for (i, _) in owner.iter().enumerate().filter(|o| *o.1 != NONE) {
+            let (x, y) = (i % size / 4, i / size / 4);
+            for y in y.saturating_sub(1)..(y + 2).min(across) {
+                shown[y * across + x.saturating_sub(1)..y * across + (x + 2).min(across)].fill(true);
+            }
+        }
+        shown
+    }
+
     /// Charts of the texels of a mip, rows from the top; `u32::MAX` more than one texel from every chart.
     pub fn owners(&self, mip: usize) -> &[u32] {
         &self.levels[mip].owner

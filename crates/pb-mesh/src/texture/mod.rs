@@ -19,7 +19,7 @@ mod sample;
 mod tests;
 
 pub use bake::{BakeOptions, MapKind, NormalSpace, TileSource, bake_tile};
-pub use block::{BlockFormat, Quality, decode, encode};
+pub use block::{BlockFormat, Quality, decode, encode, encode_shown};
 pub use color::{Coding, Texels};
 pub use coverage::{Coverage, TileLayout};
 pub use mips::Mips;

@@ -12,6 +12,7 @@ use pb_mesh::mesh::{Mesh, Texturing};
 use pb_mesh::texture::image::Image;
 use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
+    encode_shown,
 };
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -153,7 +154,7 @@ impl TileBaker<'_> {
         }
         let records: Vec<MapRecord> = self.maps.iter().map(|m| m.record).collect();
         let encoded: Vec<Vec<Vec<u8>>> =
-            mips.iter().zip(self.maps).map(|(mips, map)| self.encoded(mips, map)).collect();
+            mips.iter().zip(self.maps).map(|(mips, map)| self.encoded(mips, map, &coverage)).collect();
         let chunk = |level: u32| {
             let mut bytes = Vec::new();
             for place in chunk_mips(&records, &record, level, self.levels) {
@@ -165,9 +166,15 @@ impl TileBaker<'_> {
         (record, (0..self.levels).map(chunk).collect())
     }
 
-    fn encoded(&self, mips: &Mips, map: &Map) -> Vec<Vec<u8>> {
+    fn encoded(&self, mips: &Mips, map: &Map, coverage: &Coverage) -> Vec<Vec<u8>> {
+        let (format, quality) = (map.format, self.input.texels.quality);
+        let finer = (coverage.size() / mips.size).trailing_zeros() as usize;
         let each = mips.levels.iter().enumerate();
-        each.map(|(i, texels)| encode(texels, mips.side(i), map.format, self.input.texels.quality)).collect()
+        each.map(|(i, texels)| match mips.levels.len() {
+            1 => encode(texels, mips.side(i), format, quality),
+            _ => encode_shown(texels, mips.side(i), format, quality, &coverage.shown_blocks(finer + i)),
+        })
+        .collect()
     }
 
     /// All maps of a tile.
