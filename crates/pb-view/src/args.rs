@@ -121,6 +121,11 @@ pub struct Args {
     #[arg(long, hide = true, value_name = "N", default_value_t = 0)]
     pub late_frames: u32,
 
+    /// Decode textures before they are uploaded even where the adapter reads compressed ones (software adapters are
+    /// many times faster so, and fill four times the memory).
+    #[arg(long, hide = true)]
+    pub decode_textures: bool,
+
     /// One draw call per cluster even where the adapter takes many in one.
     #[arg(long, hide = true)]
     pub plain_draws: bool,

@@ -30,7 +30,8 @@ pub fn run(args: &Args) -> Result<Outcome> {
     if let Some(folder) = &args.frames {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))?;
     }
-    let gpu = Gpu::headless()?;
+    let mut gpu = Gpu::headless()?;
+    gpu.texture_blocks &= !args.decode_textures;
     if args.wireframe && !gpu.wireframe {
         eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
     }

@@ -85,13 +85,14 @@ fn lit_matt(n: vec3<f32>, to_eye: vec3<f32>, albedo: vec3<f32>, occlusion: f32) 
 // Hammon 2017; times pi, because lights are given as what a white matt surface returns.
 fn ggx(n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, f0: vec3<f32>, roughness: f32) -> vec3<f32> {
     let h = normalize(v + l);
-    let nl = max(dot(n, l), 0.0);
-    let nv = max(dot(n, v), 1e-3);
-    let nh = max(dot(n, h), 0.0);
+    // Cosines may come out a little above 1.
+    let nl = saturate(dot(n, l));
+    let nv = clamp(dot(n, v), 1e-3, 1.0);
+    let nh = saturate(dot(n, h));
     let a = roughness * roughness;
     let d = nh * nh * (a * a - 1.0) + 1.0;
     let smith = 0.5 / max(mix(2.0 * nl * nv, nl + nv, a), 1e-4);
-    let fresnel = f0 + (1.0 - f0) * pow(1.0 - max(dot(v, h), 0.0), 5.0);
+    let fresnel = f0 + (1.0 - f0) * pow(1.0 - saturate(dot(v, h)), 5.0);
     return fresnel * (a * a / (d * d)) * smith * nl;
 }
 

@@ -204,6 +204,37 @@ fn normal_maps_lean_towards_u_and_away_from_v_also_in_stretched_charts() {
     }
 }
 
+/// A white square in light, seen from above `(x, y)`, 64 pixels wide; `orm` where it says something.
+fn white_in_light(gpu: &Gpu, orm: Option<[u8; 3]>, (x, y): (f64, f64)) -> Vec<[u8; 4]> {
+    let maps = [BASE, (MapKind::Orm, MapFormat::Rgba8Linear)];
+    let mut fill = |_: u32, m: &MipPlace| {
+        let [r, g, b] = if m.map == 0 { [200; 3] } else { orm.unwrap_or_default() };
+        [r, g, b, 255].repeat(m.bytes as usize / 4)
+    };
+    let model = TexturedModel::new(1, &maps[..1 + orm.is_some() as usize], &[tile(5)], 32768, &mut fill);
+    let renderer = model.renderer(gpu, 1 << 24);
+    let camera = Camera { eye: DVec3::new(x, y, 9.0), ..in_front(1.0) };
+    Shot { camera, color: ColorMode::Shaded, ..albedo(64, 1.0, &[0.0]) }.take(gpu, &model, &renderer)
+}
+
+#[test]
+fn glossy_surfaces_shine_without_a_speck_and_rough_ones_look_matt() {
+    let Some(gpu) = crate::adapter("glossy surfaces") else { return };
+    for place in [(16.0, 16.0), (3.0, 29.0), (20.0, 2.0)] {
+        let matt = white_in_light(&gpu, None, place);
+        for orm in [[255, 0, 0], [255, 40, 255], [255, 128, 0], [255, 255, 0], [255, 255, 255], [100, 90, 70]] {
+            let picture = white_in_light(&gpu, Some(orm), place);
+            let middle = |p: &[[u8; 4]], k: usize| p[(28 + k / 8) * 64 + 28 + k % 8][1];
+            let dark = (0..64).filter(|&k| middle(&picture, k) < 10).count();
+            assert_eq!(dark, 0, "{orm:?} from {place:?}");
+            if orm == [255, 255, 0] {
+                let far = (0..64).map(|k| middle(&picture, k).abs_diff(middle(&matt, k))).max();
+                assert!(far < Some(20), "rough and no metal from {place:?}: {far:?}");
+            }
+        }
+    }
+}
+
 /// Tiles of several sizes and maps of several formats, some of them small.
 fn mixed(random: &mut Random, clusters: usize) -> TexturedModel {
     let maps = [BASE, (MapKind::Orm, MapFormat::Bc7Linear), (MapKind::Normal, MapFormat::Bc5)];
