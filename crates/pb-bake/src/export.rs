@@ -1,9 +1,17 @@
 //! Writes meshes for other programs: PLY, OBJ, GLB. A file appears under its name only when it is whole.
 
+mod textured_glb;
+mod textured_obj;
+mod tile;
+
+use pb_lod::progressive_buffers::layout::Vertex;
+use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_lod::progressive_buffers::textures::MapKind;
 use pb_mesh::mesh::write_ply;
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use tile::TileImage;
 
 pub use pb_mesh::mesh::ExportMesh;
 
@@ -20,7 +28,7 @@ pub enum ExportError {
         path: PathBuf,
     },
     /// More than a GLB file can hold.
-    #[error("{}: the mesh needs {bytes} bytes, more than the 4 GiB of a GLB file; write a PLY file instead", path.display())]
+    #[error("{}: the mesh needs {bytes} bytes, more than the 4 GiB of a GLB file; write a coarser level or another format instead", path.display())]
     TooLarge {
         /// As given.
         path: PathBuf,
@@ -35,6 +43,56 @@ pub enum ExportError {
         /// What the system says.
         source: io::Error,
     },
+    /// The archive is at fault.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
+/// What was written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ExportCounts {
+    /// Vertices.
+    pub vertices: u64,
+    /// Triangles.
+    pub triangles: u64,
+    /// Images, in the file (GLB) or beside it (OBJ).
+    pub images: u64,
+}
+
+/// Writes one level of a model, in the format of the file's extension. Levels with textures keep them in `.glb` (images
+/// inside) and `.obj` (`NAME.mtl` and `NAME_<cluster>.png` beside it); `.ply` gets the colours at the vertices.
+///
+/// # Errors
+/// See [`ExportError`].
+///
+/// # Panics
+/// If there is no such level.
+pub fn write_level(path: &Path, model: &Model, level: u32) -> Result<ExportCounts, ExportError> {
+    assert!(level < model.levels());
+    let mesh = match (model.textures(), extension(path).as_deref()) {
+        (Some(_), Some("glb")) => return textured_glb::write(path, model, level),
+        (Some(_), Some("obj")) => return textured_obj::write(path, model, level),
+        (Some(_), Some("ply")) => colored(model, level)?,
+        _ => model.export_level(level)?,
+    };
+    write_mesh(path, &mesh)?;
+    Ok(ExportCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64, images: 0 })
+}
+
+/// A level with the colours of its tiles at the vertices, where it has any.
+fn colored(model: &Model, level: u32) -> Result<ExportMesh, ModelError> {
+    if !model.textures().is_some_and(|t| t.maps.iter().any(|m| m.kind() == Some(MapKind::BaseColor))) {
+        return model.export_level(level);
+    }
+    model.export_level_colored(level, &mut |cluster, vertices: &[Vertex]| {
+        let image = TileImage::read(model, cluster, level, MapKind::BaseColor)?;
+        let color = |v: &Vertex| image.as_ref().map_or([255; 4], |i| i.nearest(v.uv()));
+        Ok(vertices.iter().map(color).collect())
+    })
+}
+
+fn extension(path: &Path) -> Option<String> {
+    path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase())
 }
 
 /// Writes a mesh in the format of the file's extension: `.ply` (binary, double positions), `.obj` (text, all digits),
@@ -43,8 +101,7 @@ pub enum ExportError {
 /// # Errors
 /// See [`ExportError`]; then nothing is left behind, and a file that was there stays as it was.
 pub fn write_mesh(path: &Path, mesh: &ExportMesh) -> Result<(), ExportError> {
-    let io = |source| ExportError::Io { path: path.to_owned(), source };
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let extension = extension(path);
     let write: fn(&mut dyn Write, &ExportMesh) -> io::Result<()> = match extension.as_deref() {
         Some("ply") => |mut out, mesh| write_ply(&mut out, mesh),
         Some("obj") => |mut out, mesh| write_obj(&mut out, mesh),
@@ -55,14 +112,23 @@ pub fn write_mesh(path: &Path, mesh: &ExportMesh) -> Result<(), ExportError> {
     if extension.as_deref() == Some("glb") && bytes > MAX_GLB_BYTES {
         return Err(ExportError::TooLarge { path: path.to_owned(), bytes });
     }
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let file = temporary_in(folder).map_err(io)?;
+    replace(path, |out| write(out, mesh))
+}
+
+/// Writes a file that appears under its name when it is whole.
+fn replace(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), ExportError> {
+    let io = |source| ExportError::Io { path: path.to_owned(), source };
+    let file = temporary_in(folder_of(path)).map_err(io)?;
     let mut out = BufWriter::with_capacity(1 << 20, file);
-    write(&mut out, mesh).map_err(io)?;
+    write(&mut out).map_err(io)?;
     let file = out.into_inner().map_err(|e| io(e.into_error()))?;
     file.as_file().sync_all().map_err(io)?;
     file.persist(path).map_err(|e| io(e.error))?;
     Ok(())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// A file of another name, readable like any other once it has its own.

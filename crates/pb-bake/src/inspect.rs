@@ -1,13 +1,16 @@
 //! `inspect`, `verify` and `export`: the commands that read an archive.
 
+mod textures;
+
 use crate::cli::{ExportArgs, InspectArgs, VerifyArgs};
 use crate::failure::{Failure, blame_input, blame_machine};
-use crate::report::{LevelSummary, level_table, print_json, print_text};
-use pb_bake::export::{ExportError, write_mesh};
-use pb_lod::progressive_buffers::model::{Model, ModelError};
+use crate::report::{LevelBytes, LevelSummary, level_table, print_json, print_text};
+use pb_bake::export::{ExportCounts, ExportError, write_level};
+use pb_lod::progressive_buffers::model::Model;
 use pb_lod::progressive_buffers::verify::{self, MAX_BREACHES};
 use serde::Serialize;
 use std::fmt::Write as _;
+use textures::TextureInspection;
 
 /// What `inspect --json` prints.
 #[derive(Serialize)]
@@ -22,6 +25,8 @@ struct Inspection {
     /// Bytes of all chunks when decoded: what drawing everything at full detail needs.
     decoded_bytes: u64,
     colors: bool,
+    /// None in models without.
+    textures: Option<TextureInspection>,
     /// Smallest and largest coordinates, input units.
     bounds_min: [f64; 3],
     bounds_max: [f64; 3],
@@ -56,6 +61,7 @@ fn look(model: &Model) -> Inspection {
         levels: (0..levels).map(|level| look_at_level(model, level)).collect(),
         decoded_bytes: chunks.iter().map(|c| c.decoded_bytes as u64).sum(),
         colors: model.has_colors(),
+        textures: TextureInspection::new(model),
         bounds_min: model.world(record.bounds_min).to_array(),
         bounds_max: model.world(record.bounds_max).to_array(),
         quantum: record.quantum,
@@ -69,8 +75,9 @@ fn look_at_level(model: &Model, level: usize) -> LevelSummary {
     let levels = model.levels() as usize;
     let records = model.level_records().iter().skip(level).step_by(levels);
     let misses: f64 = records.map(|l| l.acmr as f64 * l.triangles as f64).sum();
-    let bytes = model.archive().chunks().iter().skip(level).step_by(levels).map(|c| c.stored_bytes as u64).sum();
+    let stored = model.archive().chunks().iter().map(|c| c.stored_bytes as usize);
     let record = &model.model_levels()[level];
+    let bytes = LevelBytes::new(stored, level, model.record());
     LevelSummary::new(level, record, misses / record.triangles.max(1) as f64, bytes)
 }
 
@@ -89,6 +96,9 @@ fn text(i: &Inspection) -> String {
     );
     let _ = writeln!(text, "bounds: {:?} to {:?}, in steps of {:e}", i.bounds_min, i.bounds_max, i.quantum);
     let _ = writeln!(text, "colours: {}", if i.colors { "yes" } else { "no" });
+    if let Some(textures) = &i.textures {
+        text += &textures.text();
+    }
     text
 }
 
@@ -99,9 +109,10 @@ pub fn verify(args: &VerifyArgs) -> Result<(), Failure> {
     match verify::verify(&model) {
         Ok(_) if args.quiet => Ok(()),
         Ok(s) => print_text(&format!(
-            "{name}: sound: {} chunks in {} clusters, {} border and {} corner positions, {}\n",
+            "{name}: sound: {} chunks in {} clusters, {}{} border and {} corner positions, {}\n",
             s.chunks,
             model.record().clusters,
+            textures::checked(&model),
             s.border_positions,
             s.corner_positions,
             if s.open_edges[0] == 0 {
@@ -127,11 +138,14 @@ pub fn export(args: &ExportArgs) -> Result<(), Failure> {
         let text = format!("it has levels 0 to {}, so there is no level {}", levels - 1, args.level);
         return Err(blame_machine(format!("{}: {text}", args.archive.display())));
     }
-    let mesh = model.export_level(args.level).map_err(|e: ModelError| blame_input(e))?;
-    write_mesh(&args.output, &mesh).map_err(|e: ExportError| blame_machine(e))?;
-    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    let counts = write_level(&args.output, &model, args.level).map_err(|e| match e {
+        ExportError::Model(e) => blame_input(e),
+        e => blame_machine(e),
+    })?;
     if args.quiet {
         return Ok(());
     }
-    print_text(&format!("{}: {vertices} vertices, {triangles} triangles\n", args.output.display()))
+    let ExportCounts { vertices, triangles, images } = counts;
+    let images = if images > 0 { format!(", {images} images") } else { String::new() };
+    print_text(&format!("{}: {vertices} vertices, {triangles} triangles{images}\n", args.output.display()))
 }

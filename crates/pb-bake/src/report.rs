@@ -6,7 +6,7 @@ use crate::scene::TextureSummary;
 use pb_archive::FORMAT_VERSION;
 use pb_bake::import::InputReport;
 use pb_lod::progressive_buffers::bake::BakeReport;
-use pb_lod::progressive_buffers::layout::ModelLevelRecord;
+use pb_lod::progressive_buffers::layout::{ModelLevelRecord, ModelRecord};
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::repair::RepairReport;
 use serde::Serialize;
@@ -31,30 +31,90 @@ pub struct LevelSummary {
     pub acmr: f64,
     /// Bytes in the archive that this level adds.
     pub bytes: u64,
+    /// Those of triangles and vertices.
+    pub geometry_bytes: u64,
+    /// Those of texels.
+    pub texture_bytes: u64,
+}
+
+/// Bytes that a level adds.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LevelBytes {
+    geometry: u64,
+    textures: u64,
+}
+
+impl LevelBytes {
+    /// From the sizes of all chunks, in their order.
+    pub fn new(chunks: impl Iterator<Item = usize>, level: usize, model: &ModelRecord) -> Self {
+        let mut bytes = LevelBytes::default();
+        let geometry = (model.clusters * model.levels) as usize;
+        for (i, stored) in chunks.enumerate().skip(level).step_by(model.levels as usize) {
+            *(if i < geometry { &mut bytes.geometry } else { &mut bytes.textures }) += stored as u64;
+        }
+        bytes
+    }
 }
 
 impl LevelSummary {
     /// From a model's record and sums over its clusters.
-    pub fn new(level: usize, record: &ModelLevelRecord, acmr: f64, bytes: u64) -> Self {
+    pub fn new(level: usize, record: &ModelLevelRecord, acmr: f64, bytes: LevelBytes) -> Self {
         let &ModelLevelRecord { vertices, triangles, max_error, rms_error } = record;
-        Self { level, vertices, triangles, max_error, rms_error, acmr, bytes }
+        let LevelBytes { geometry: geometry_bytes, textures: texture_bytes } = bytes;
+        let bytes = geometry_bytes + texture_bytes;
+        Self { level, vertices, triangles, max_error, rms_error, acmr, bytes, geometry_bytes, texture_bytes }
     }
 }
 
-/// The levels as a table with a heading.
+/// The levels as a table with a heading; bytes in two columns where there are textures.
 pub fn level_table(levels: &[LevelSummary]) -> String {
+    let textured = levels.iter().any(|l| l.texture_bytes > 0);
+    let bytes =
+        if textured { format!("{:>14} {:>13}", "geometry bytes", "texture bytes") } else { format!("{:>13}", "bytes") };
     let mut text = format!(
-        "{:>5} {:>12} {:>12} {:>12} {:>12} {:>6} {:>13}\n",
-        "level", "triangles", "vertices", "max error", "rms error", "acmr", "bytes"
+        "{:>5} {:>12} {:>12} {:>12} {:>12} {:>6} {bytes}\n",
+        "level", "triangles", "vertices", "max error", "rms error", "acmr"
     );
     for l in levels {
+        let bytes = match textured {
+            true => format!("{:>14} {:>13}", l.geometry_bytes, l.texture_bytes),
+            false => format!("{:>13}", l.bytes),
+        };
         let _ = writeln!(
             text,
-            "{:>5} {:>12} {:>12} {:>12.4e} {:>12.4e} {:>6.3} {:>13}",
-            l.level, l.triangles, l.vertices, l.max_error, l.rms_error, l.acmr, l.bytes
+            "{:>5} {:>12} {:>12} {:>12.4e} {:>12.4e} {:>6.3} {bytes}",
+            l.level, l.triangles, l.vertices, l.max_error, l.rms_error, l.acmr
         );
     }
     text
+}
+
+/// One stage of a bake.
+#[derive(Clone, Debug, Serialize)]
+struct StageSummary {
+    name: &'static str,
+    seconds: f64,
+    /// Millions of input triangles per second.
+    triangle_rate: f64,
+    /// Millions of texels per second, for stages of textures: of the images where they are read, else of the tiles.
+    texel_rate: Option<f64>,
+}
+
+impl StageSummary {
+    fn new(stage: &StageTime, triangles: u64) -> Self {
+        let &StageTime { name, seconds } = stage;
+        Self { name, seconds, triangle_rate: rate(triangles, seconds), texel_rate: None }
+    }
+
+    fn text(&self) -> String {
+        let texels = self.texel_rate.map(|r| format!(" {r:>9.2} M texels/s")).unwrap_or_default();
+        format!("{:>10} {:>8.2} s {:>9.2} M triangles/s{texels}", self.name, self.seconds, self.triangle_rate)
+    }
+}
+
+/// Millions per second.
+fn rate(count: u64, seconds: f64) -> f64 {
+    count as f64 / seconds.max(1e-9) / 1e6
 }
 
 /// One input in a report.
@@ -123,7 +183,7 @@ pub struct BakeSummary {
     repairs: Repairs,
     inputs: Vec<InputSummary>,
     textures: Option<TextureSummary>,
-    stages: Vec<StageTime>,
+    stages: Vec<StageSummary>,
     seconds: f64,
     peak_memory_bytes: Option<u64>,
 }
@@ -131,8 +191,7 @@ pub struct BakeSummary {
 impl BakeSummary {
     /// What the bake itself knows.
     pub fn new(output: &Path, bytes: u64, model: &BakedModel, baked: &BakeReport, stages: Vec<StageTime>) -> Self {
-        let count = model.record.levels as usize;
-        let stored = |level: usize| model.chunks.iter().skip(level).step_by(count).map(|c| c.bytes.len() as u64).sum();
+        let stored = |level: usize| LevelBytes::new(model.chunks.iter().map(|c| c.bytes.len()), level, &model.record);
         let acmr = |level: usize| baked.acmr.get(level).copied().unwrap_or(0.0) as f64;
         let levels = model.model_levels.iter().enumerate();
         Self {
@@ -147,7 +206,7 @@ impl BakeSummary {
             inputs: Vec::new(),
             textures: None,
             seconds: stages.iter().map(|s| s.seconds).sum(),
-            stages,
+            stages: stages.iter().map(|s| StageSummary::new(s, model.record.triangles_in)).collect(),
             peak_memory_bytes: peak_memory_bytes(),
         }
     }
@@ -167,6 +226,11 @@ impl BakeSummary {
             warnings: i.warnings.clone(),
         };
         self.inputs = inputs.iter().map(input).collect();
+        if let Some(textures) = &textures {
+            for stage in &mut self.stages {
+                stage.texel_rate = textures.texels_of(stage.name).map(|texels| rate(texels, stage.seconds));
+            }
+        }
         self.textures = textures;
         self.repairs = Repairs {
             polygons_triangulated: repairs.polygons_triangulated,
@@ -190,13 +254,13 @@ impl BakeSummary {
     /// For people.
     pub fn text(&self) -> String {
         let mut text = level_table(&self.levels);
-        let stages: Vec<String> = self.stages.iter().map(|s| format!("{} {:.2} s", s.name, s.seconds)).collect();
-        let rate = self.triangles_in as f64 / self.seconds.max(1e-9) / 1e6;
         let _ = writeln!(text, "repairs: {}", self.repairs.text());
         if let Some(textures) = &self.textures {
             let _ = writeln!(text, "{}", textures.text());
         }
-        let _ = writeln!(text, "time: {:.2} s ({rate:.2} M triangles/s): {}", self.seconds, stages.join(", "));
+        let all = rate(self.triangles_in, self.seconds);
+        let _ = writeln!(text, "time: {:.2} s, {all:.2} M triangles/s", self.seconds);
+        self.stages.iter().for_each(|s| text += &(s.text() + "\n"));
         if let Some(bytes) = self.peak_memory_bytes {
             let _ = writeln!(text, "peak memory: {} MiB", bytes >> 20);
         }

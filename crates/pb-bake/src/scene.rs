@@ -52,6 +52,15 @@ pub struct TextureSummary {
 }
 
 impl TextureSummary {
+    /// Texels that a stage of the bake works on: those of the images, or of the tiles at level 0.
+    pub fn texels_of(&self, stage: &str) -> Option<u64> {
+        match stage {
+            "textures" => Some(self.texels),
+            "charts" | "texels" => Some(self.tile_texels),
+            _ => None,
+        }
+    }
+
     /// For people.
     pub fn text(&self) -> String {
         let TextureSummary { images, texels, placeholders, charts, tile_texels, tile_bytes, .. } = self;

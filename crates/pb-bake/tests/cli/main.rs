@@ -5,4 +5,5 @@ mod bake;
 #[cfg(unix)]
 mod doctor;
 mod harness;
+mod textured_export;
 mod textures;

@@ -1,8 +1,12 @@
 //! One level of the whole model as a plain mesh, for other programs and for checks.
 
+use super::layout::Vertex;
 use super::model::{Model, ModelError};
 use pb_mesh::mesh::ExportMesh;
 use std::collections::HashMap;
+
+/// Colours (sRGB, straight alpha) for vertices of a cluster, one each.
+pub type VertexColors<'a> = &'a mut dyn FnMut(u32, &[Vertex]) -> Result<Vec<[u8; 4]>, ModelError>;
 
 impl Model {
     /// All clusters at one level, welded: one vertex per grid position, in order of first use by the clusters in
@@ -11,16 +15,33 @@ impl Model {
     /// # Panics
     /// If there is no such level.
     pub fn export_level(&self, level: u32) -> Result<ExportMesh, ModelError> {
+        let mut stored = |_: u32, vertices: &[Vertex]| Ok(vertices.iter().map(|v| v.color).collect());
+        self.weld_level(level, self.has_colors().then_some(&mut stored as VertexColors))
+    }
+
+    /// The same with colours that the caller finds, for models that have them in textures.
+    ///
+    /// # Panics
+    /// If there is no such level, or there are fewer colours than vertices.
+    pub fn export_level_colored(&self, level: u32, colors: VertexColors) -> Result<ExportMesh, ModelError> {
+        self.weld_level(level, Some(colors))
+    }
+
+    fn weld_level(&self, level: u32, mut colors: Option<VertexColors>) -> Result<ExportMesh, ModelError> {
         assert!(level < self.levels());
         let mut welder = Welder::default();
         let mut mesh = ExportMesh::default();
         for cluster in 0..self.record().clusters {
             let prefix = self.read_prefix(cluster, level)?;
+            let colors = match &mut colors {
+                Some(colors) => colors(cluster, &prefix.vertices)?,
+                None => vec![[255; 4]; prefix.vertices.len()],
+            };
             let mut place = vec![u32::MAX; prefix.vertices.len()];
             let mut corner = |i: u16| {
                 if place[i as usize] == u32::MAX {
                     let v = &prefix.vertices[i as usize];
-                    place[i as usize] = welder.add(self.grid(cluster, v), v.normal(), v.color);
+                    place[i as usize] = welder.add(self.grid(cluster, v), v.normal(), colors[i as usize]);
                 }
                 place[i as usize]
             };
@@ -28,7 +49,7 @@ impl Model {
         }
         mesh.positions = welder.grid.iter().map(|&g| self.world(g).to_array()).collect();
         mesh.normals = welder.sums.iter().map(|s| normalized(s.normal)).collect();
-        if self.has_colors() {
+        if colors.is_some() {
             mesh.colors = Some(welder.sums.iter().map(|s| s.color.map(|c| rounded(c, s.records))).collect());
         }
         Ok(mesh)

@@ -29,7 +29,7 @@ pub enum MapKind {
     BaseColor = 0,
     /// Red: occlusion, green: roughness, blue: metalness.
     Orm = 1,
-    /// x and y of the normal in the tile's tangent space, as `2 c - 1`.
+    /// The normal, as `2 c - 1`. Two channels: x and y in the tile's tangent frame; more: x, y, z in the model's axes.
     Normal = 2,
     /// Emitted light.
     Emissive = 3,
@@ -38,6 +38,11 @@ pub enum MapKind {
 impl MapKind {
     /// By number.
     pub const ALL: [MapKind; MAX_MAPS] = [MapKind::BaseColor, MapKind::Orm, MapKind::Normal, MapKind::Emissive];
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        ["base colour", "occlusion-roughness-metalness", "normal", "emission"][self as usize]
+    }
 }
 
 /// How texels lie in a chunk.
@@ -74,6 +79,12 @@ impl MapFormat {
         MapFormat::Rg8,
         MapFormat::RgbaF16,
     ];
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        ["BC7 sRGB", "BC7 linear", "BC5", "BC6H", "RGBA8 sRGB", "RGBA8 linear", "RG8", "RGBA half floats"]
+            [self as usize]
+    }
 
     /// Bytes of a mip that is `side` texels wide, a multiple of 4.
     pub fn mip_bytes(self, side: u32) -> u32 {
