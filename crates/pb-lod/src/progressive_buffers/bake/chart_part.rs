@@ -1,9 +1,8 @@
 //! One cluster on its way to a tile: which charts it gets, at which density.
 
-use super::charting::{ChartInput, ChartMode, ChartOptions, ClusterTile, Origin};
+use super::charting::{ChartInput, ChartMode, ChartOptions, ClusterTile, Origin, source_texels};
 use glam::{DVec2, DVec3, IVec3};
 use pb_mesh::charts::{AutoOptions, Charts, ClusterSurface, Fit, PackOptions, auto_charts, pack, source_charts};
-use pb_mesh::material::{Material, Slot, TextureRef};
 use pb_mesh::mesh::Texturing;
 use std::collections::BTreeMap;
 
@@ -15,6 +14,12 @@ const TEXELS_PER_EDGE: f64 = 2.0;
 const TEXEL_PERCENTILE: f64 = 0.95;
 /// New charts may be this much sparser than their source, where the next larger tile would be four times as many texels.
 const MIN_SCALE: f32 = 0.85;
+/// Texels of new charts per texel of the source, at most.
+const MAX_OVERSAMPLING: f64 = 2.0;
+/// Tiles of fewer texels than this are made denser than their source, which keeps resampling from blurring them.
+const SMALL_TILE_TEXELS: f64 = 65_536.0;
+/// By this factor at most.
+const MAX_SMALL_SCALE: f64 = 2.0;
 /// Share of a chart that is sampled at least as densely as its source.
 const DENSITY_PERCENTILE: f64 = 0.9;
 
@@ -50,12 +55,9 @@ impl Part {
         let mut plain_looks: BTreeMap<(u32, [u8; 4]), u32> = BTreeMap::new();
         for &t in members {
             let material = texturing.material_of[t as usize];
-            let texture = input.materials.get(material as usize).and_then(chart_texture);
-            match texture.and_then(|t| Some((t, input.images[t.image as usize].as_ref()?))) {
-                Some((texture, image)) => {
-                    let size = [image.width() as f32, image.height() as f32];
-                    let uv = texturing.corner_uvs.get(texture.uv_set as usize).map_or([[0.0; 2]; 3], |s| s[t as usize]);
-                    part.texels.push(uv.map(|uv| std::array::from_fn(|k| texture.apply(uv)[k] * size[k])));
+            match source_texels(texturing, input.materials, input.images, t as usize) {
+                Some((texels, material)) => {
+                    part.texels.push(texels);
                     part.keys.push(material);
                 }
                 None => {
@@ -136,16 +138,28 @@ impl Part {
         let mut samples: Vec<Vec<(f64, f64)>> = vec![Vec::new(); charts.count as usize];
         for t in 0..self.triangles.len() {
             let uv = self.texels[t].map(|p| DVec2::new(p[0].into(), p[1].into()));
-            let (area, density) = match self.keys[t] >= PLAIN {
-                true => (area2(self.corners(t)), plain),
-                // Texels per unit along the direction that has most.
-                false => (area2(self.corners(t)), largest_stretch(self.corners(t), uv).1),
+            let area = area2(self.corners(t));
+            let density = match self.keys[t] >= PLAIN {
+                true => plain,
+                false => ((uv[1] - uv[0]).perp_dot(uv[2] - uv[0]).abs() / area).sqrt(),
             };
             if density.is_finite() {
                 samples[charts.chart_of[t] as usize].push((density, area));
             }
         }
-        samples.iter_mut().map(|s| percentile(s, DENSITY_PERCENTILE).unwrap_or(0.0).max(1e-9) as f32).collect()
+        let texels = |density: f64, area: f64| density * density * area;
+        let asked: f64 = samples.iter().flatten().map(|&(density, area)| texels(density, area)).sum();
+        let densities = samples.iter_mut().map(|s| percentile(s, DENSITY_PERCENTILE).unwrap_or(0.0));
+        let densities: Vec<f64> = densities.collect();
+        let whole = |s: &Vec<(f64, f64)>| s.iter().map(|x| x.1).sum::<f64>();
+        let given: f64 = samples.iter().zip(&densities).map(|(s, &density)| texels(density, whole(s))).sum();
+        // Where density varies much, all of it at its highest would be many times the texels of the source.
+        let given = given.max(f64::MIN_POSITIVE);
+        let scale = match (SMALL_TILE_TEXELS / given).sqrt() {
+            roomy if roomy > 1.0 => roomy.min(MAX_SMALL_SCALE),
+            _ => (MAX_OVERSAMPLING * asked / given).sqrt().min(1.0),
+        };
+        densities.iter().map(|d| (d * scale).max(1e-9) as f32).collect()
     }
 
     /// Side of most texels on the surface at most, and length of the tile's side on the surface; quanta.
@@ -154,7 +168,7 @@ impl Part {
         let (mut samples, mut area, mut texels) = (Vec::with_capacity(corners.len()), 0.0, 0.0);
         for (t, corners) in corners.iter().enumerate() {
             let uv = corners.map(|p| DVec2::new(p[0].into(), p[1].into()) * unit);
-            let (stretch, _) = largest_stretch(self.corners(t), uv);
+            let stretch = largest_stretch(self.corners(t), uv);
             if stretch.is_finite() {
                 let a = area2(self.corners(t));
                 samples.push((stretch, a));
@@ -169,28 +183,21 @@ impl Part {
     }
 }
 
-/// The image whose coordinates make the charts of a material: that of the colour where there is one.
-fn chart_texture(material: &Material) -> Option<&TextureRef> {
-    const ORDER: [Slot; 5] = [Slot::BaseColor, Slot::Emissive, Slot::Normal, Slot::MetallicRoughness, Slot::Occlusion];
-    ORDER.iter().find_map(|&slot| material.texture(slot))
-}
-
 /// Twice the area of a triangle.
 fn area2([a, b, c]: [DVec3; 3]) -> f64 {
     (b - a).cross(c - a).length()
 }
 
-/// The largest singular value of the map from (u, v) to the surface (Sander et al. 2001, section 3), and that of its
-/// inverse; infinite where there is none.
-fn largest_stretch(p: [DVec3; 3], uv: [DVec2; 3]) -> (f64, f64) {
+/// The largest singular value of the map from (u, v) to the surface (Sander et al. 2001, section 3); infinite where there
+/// is none.
+fn largest_stretch(p: [DVec3; 3], uv: [DVec2; 3]) -> f64 {
     let (s, t) = (uv[1] - uv[0], uv[2] - uv[0]);
     let area = s.perp_dot(t);
     let (e, f) = (p[1] - p[0], p[2] - p[0]);
     let (du, dv) = ((e * t.y - f * s.y) / area, (f * s.x - e * t.x) / area);
     let (a, b, c) = (du.length_squared(), du.dot(dv), dv.length_squared());
-    let (mean, spread) = ((a + c) / 2.0, ((a - c) / 2.0).hypot(b));
-    let (largest, smallest) = ((mean + spread).sqrt(), (mean - spread).max(0.0).sqrt());
-    if area == 0.0 || !largest.is_finite() { (f64::INFINITY, f64::INFINITY) } else { (largest, 1.0 / smallest) }
+    let largest = ((a + c) / 2.0 + ((a - c) / 2.0).hypot(b)).sqrt();
+    if area == 0.0 || !largest.is_finite() { f64::INFINITY } else { largest }
 }
 
 /// The value that this share of the weight is at most; (value, weight) pairs.

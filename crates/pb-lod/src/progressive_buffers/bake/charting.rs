@@ -1,17 +1,22 @@
 //! Charts and tiles of a bake: every cluster is cut into charts, which are packed into its tile
 //! (docs/decisions/007-textures.md). What comes out is integers; simplification and drawing use the very same.
 
-use super::Clusters;
 use super::chart_part::Part;
+use super::{Clusters, TextureInput};
 use pb_mesh::charts::{Charts, ClusterSurface};
-use pb_mesh::material::Material;
-use pb_mesh::mesh::Mesh;
+use pb_mesh::material::{Material, Slot, TextureRef};
+use pb_mesh::mesh::{Mesh, Texturing};
 use pb_mesh::simplify::UvInput;
 use pb_mesh::texture::image::Image;
 use rayon::prelude::*;
 
 /// Default for [`ChartOptions::tile_size`]: as many texels as the source asks for.
 pub const DEFAULT_TILE_SIZE: u32 = 4096;
+
+/// Share of a tile that charts are expected to cover.
+const EXPECTED_FILL: f64 = 0.55;
+/// Clusters do not get smaller than this for the sake of their tiles.
+const MIN_CLUSTER_TRIANGLES: usize = 256;
 
 /// Where charts come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -112,6 +117,50 @@ pub(super) struct ChartInput<'a> {
     pub clusters: &'a Clusters,
     pub materials: &'a [Material],
     pub images: &'a [Option<Image>],
+}
+
+/// Triangles per cluster, at most `most`, so that the texels of a cluster fill a tile well: a tile has a power of two of
+/// texels per side, and a few more than fit would quadruple it.
+pub(super) fn cluster_size(mesh: &Mesh, textures: &TextureInput, most: usize) -> usize {
+    let texturing = mesh.texturing.as_ref().expect("only textured meshes have tiles");
+    let texels = |t: usize| {
+        let Some((uv, _)) = source_texels(texturing, textures.materials, textures.images, t) else { return 0.0 };
+        let [a, b, c] = uv.map(|p| p.map(f64::from));
+        ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / 2.0
+    };
+    const BLOCK: usize = 1 << 14;
+    let count = mesh.triangles.len();
+    let block = |from: usize| (from..(from + BLOCK).min(count)).map(texels).filter(|x| x.is_finite()).sum::<f64>();
+    let starts: Vec<usize> = (0..count).step_by(BLOCK).collect();
+    let per_triangle = starts.into_par_iter().map(block).collect::<Vec<f64>>().iter().sum::<f64>() / count as f64;
+    let fitting = |size: u32| (f64::from(size).powi(2) * EXPECTED_FILL / per_triangle) as usize;
+    let mut size = textures.charts.tile_size;
+    while fitting(size) > most && size > 4 {
+        size /= 2;
+    }
+    fitting(size).clamp(MIN_CLUSTER_TRIANGLES.min(most), most)
+}
+
+/// Where the corners of a triangle lie on the image that its charts come from, in texels, and its material; `None`
+/// without an image.
+pub(super) fn source_texels(
+    texturing: &Texturing,
+    materials: &[Material],
+    images: &[Option<Image>],
+    t: usize,
+) -> Option<([[f32; 2]; 3], u32)> {
+    let material = texturing.material_of[t];
+    let texture = materials.get(material as usize).and_then(chart_texture)?;
+    let image = images[texture.image as usize].as_ref()?;
+    let size = [image.width() as f32, image.height() as f32];
+    let uv = texturing.corner_uvs.get(texture.uv_set as usize).map_or([[0.0; 2]; 3], |set| set[t]);
+    Some((uv.map(|uv| std::array::from_fn(|k| texture.apply(uv)[k] * size[k])), material))
+}
+
+/// The image whose coordinates make the charts of a material: that of the colour where there is one.
+fn chart_texture(material: &Material) -> Option<&TextureRef> {
+    const ORDER: [Slot; 5] = [Slot::BaseColor, Slot::Emissive, Slot::Normal, Slot::MetallicRoughness, Slot::Occlusion];
+    ORDER.iter().find_map(|&slot| material.texture(slot))
 }
 
 /// Charts and packs all clusters.

@@ -21,7 +21,7 @@ use super::layout::MAX_LEVELS;
 use super::textures::MAX_SIZE_LOG2;
 use super::write::BakedModel;
 use assemble::{Finished, assemble};
-use charting::{ChartInput, Tiles, make_tiles};
+use charting::{ChartInput, Tiles, cluster_size, make_tiles};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
@@ -154,7 +154,7 @@ pub fn bake_textured(
     let triangles: Vec<[u32; 3]> =
         (0..mesh.triangles.len()).into_par_iter().map(|t| mesh.corner_positions(t)).collect();
     let max_triangles = match textures {
-        Some(_) => options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES),
+        Some(t) => cluster_size(mesh, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)),
         None => options.cluster_triangles,
     };
     let clusters = Clusters::new(mesh, &triangles, max_triangles);
