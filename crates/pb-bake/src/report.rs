@@ -107,8 +107,8 @@ impl StageSummary {
     }
 
     fn text(&self) -> String {
-        let texels = self.texel_rate.map(|r| format!(" {r:>9.2} M texels/s")).unwrap_or_default();
-        format!("{:>10} {:>8.2} s {:>9.2} M triangles/s{texels}", self.name, self.seconds, self.triangle_rate)
+        let texels = self.texel_rate.map(|r| format!(" {r:>9.3} M texels/s")).unwrap_or_default();
+        format!("{:>10} {:>8.2} s {:>9.3} M triangles/s{texels}", self.name, self.seconds, self.triangle_rate)
     }
 }
 
@@ -259,7 +259,7 @@ impl BakeSummary {
             let _ = writeln!(text, "{}", textures.text());
         }
         let all = rate(self.triangles_in, self.seconds);
-        let _ = writeln!(text, "time: {:.2} s, {all:.2} M triangles/s", self.seconds);
+        let _ = writeln!(text, "time: {:.2} s, {all:.3} M triangles/s", self.seconds);
         self.stages.iter().for_each(|s| text += &(s.text() + "\n"));
         if let Some(bytes) = self.peak_memory_bytes {
             let _ = writeln!(text, "peak memory: {} MiB", bytes >> 20);

@@ -66,7 +66,11 @@ impl TileImage {
         let bytes = &bytes[mip.offset as usize..][..mip.bytes as usize];
         let format = block_format(textures.maps[map].format().expect("checked when opened"));
         let texels = decode(format, bytes, mip.side).expect("a mip has its format's bytes");
-        Ok(Some(TileImage { side: mip.side, texels: bytes_of(texels) }))
+        let mut texels = bytes_of(texels);
+        if !model.has_cutouts() {
+            texels.iter_mut().for_each(|t| t[3] = 255); // what blocks say there is rounding
+        }
+        Ok(Some(TileImage { side: mip.side, texels }))
     }
 
     /// The texel at a texture coordinate, units of 1/65536 of the tile.
