@@ -31,9 +31,9 @@ pub(super) fn write(path: &Path, model: &Model, level: u32) -> Result<ExportCoun
     let written = replace(path, |out| {
         writeln!(out, "mtllib {stem}.mtl")?;
         for cluster in 0..model.record().clusters {
-            let part = Part::read(model, cluster, level).or_else(|e| {
+            let part = Part::read(model, cluster, level).map_err(|e| {
                 fault = Some(e);
-                Err(io::Error::other("the archive is at fault"))
+                io::Error::other("the archive is at fault")
             })?;
             write_part(out, model, cluster, &part, counts.vertices + 1)?;
             counts.vertices += part.grid.len() as u64;

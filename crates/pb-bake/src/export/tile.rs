@@ -75,7 +75,7 @@ impl TileImage {
 
     /// The texel at a texture coordinate, units of 1/65536 of the tile.
     pub fn nearest(&self, uv: [u16; 2]) -> [u8; 4] {
-        let [x, y] = uv.map(|c| (u64::from(c) * u64::from(self.side) >> 16) as usize);
+        let [x, y] = uv.map(|c| ((u64::from(c) * u64::from(self.side)) >> 16) as usize);
         self.texels[y * self.side as usize + x]
     }
 
