@@ -14,6 +14,8 @@ const MIN_SIDE_LOG2: u32 = MIN_SIZE_LOG2 as u32;
 const MAX_PAGE_LOG2: u32 = 12;
 /// log2 of the smallest page, texels.
 const MIN_PAGE_LOG2: u32 = 8;
+/// No page is larger than this part of the byte bound, so that small bounds are not all page.
+const PAGES_PER_BOUND: u64 = 16;
 /// Most pages: the shader's place entries have twelve bits, and all ones mean "absent".
 const MAX_PAGES: u64 = 4095;
 
@@ -149,17 +151,36 @@ impl PageLimits {
     }
 }
 
+/// What a pool is made for; sides are log2 of texels.
+#[derive(Clone, Copy, Debug)]
+pub struct PoolWish {
+    /// Of the largest mip that must have a place.
+    pub tail_log2: u32,
+    /// Of the largest mip.
+    pub largest_log2: u32,
+    /// Of all mips together.
+    pub bytes: u64,
+    /// Bound of everything on the adapter, bytes.
+    pub bound: u64,
+}
+
 impl PoolSize {
-    /// No pages yet; a page is as small as the `largest_log2` square and the number of pages that `bytes` needs
-    /// allow. `None` where the largest square is larger than a texture may be.
-    pub fn empty(storage: Storage, largest_log2: u32, bytes: u64, limits: &PageLimits) -> Option<Self> {
+    /// No pages yet; a page is as small as the largest mip and the number of pages allow. Where the bound is small it
+    /// is smaller still, and mips wider than a page find no place. `None` where a mip that must have one is wider than
+    /// a texture may be.
+    pub fn empty(storage: Storage, wish: &PoolWish, limits: &PageLimits) -> Option<Self> {
         let most = limits.side.max(1).ilog2().min(MAX_PAGE_LOG2);
-        let mut page_log2 = largest_log2.max(MIN_PAGE_LOG2);
+        let mut page_log2 = wish.largest_log2.min(most).max(MIN_PAGE_LOG2);
+        while page_log2 > MIN_PAGE_LOG2 && page_bytes(storage, page_log2) > wish.bound / PAGES_PER_BOUND {
+            page_log2 -= 1;
+        }
+        page_log2 = page_log2.max(wish.tail_log2);
+        let bytes = wish.bytes.min(wish.bound);
         let pages = |page_log2: u32| bytes.div_ceil(page_bytes(storage, page_log2));
         while page_log2 < most && pages(page_log2) > MAX_PAGES.min(limits.layers as u64) {
             page_log2 += 1;
         }
-        let scratch_log2 = largest_log2.saturating_sub(1).max(MIN_SIDE_LOG2);
+        let scratch_log2 = wish.largest_log2.min(page_log2).saturating_sub(1).max(MIN_SIDE_LOG2);
         (page_log2 <= most).then_some(Self { storage, page_log2, pages: 0, scratch_log2 })
     }
 
@@ -336,13 +357,16 @@ mod tests {
     #[test]
     fn pages_are_as_small_as_the_largest_square_and_the_number_of_layers_allow() {
         let limits = PageLimits { side: 16384, layers: 256, bytes: 1 << 32 };
-        let page = |largest, bytes| PoolSize::empty(Storage::Bc7, largest, bytes, &limits).map(|s| s.page_log2);
-        assert_eq!(page(5, 1 << 20), Some(8));
-        assert_eq!(page(9, 1 << 20), Some(9));
-        assert_eq!(page(9, 1 << 30), Some(11), "1 GiB is 256 pages of 4 MiB");
-        assert_eq!(page(12, u64::MAX), Some(12));
+        let wish = |largest_log2, bytes| PoolWish { tail_log2: 5, largest_log2, bytes, bound: u64::MAX };
+        let page = |wish: PoolWish| PoolSize::empty(Storage::Bc7, &wish, &limits).map(|s| s.page_log2);
+        assert_eq!(page(wish(5, 1 << 20)), Some(8));
+        assert_eq!(page(wish(9, 1 << 20)), Some(9));
+        assert_eq!(page(wish(9, 1 << 30)), Some(11), "1 GiB is 256 pages of 4 MiB");
+        assert_eq!(page(wish(12, u64::MAX)), Some(12));
+        assert_eq!(page(PoolWish { bound: 32 << 20, ..wish(12, 1 << 30) }), Some(10), "a 16th of the bound");
         let small = PageLimits { side: 2048, ..limits };
-        assert_eq!(PoolSize::empty(Storage::Bc7, 12, 1, &small), None);
+        assert_eq!(PoolSize::empty(Storage::Bc7, &wish(12, 1), &small).map(|s| s.page_log2), Some(11));
+        assert_eq!(PoolSize::empty(Storage::Bc7, &PoolWish { tail_log2: 12, ..wish(12, 1) }, &small), None);
     }
 
     /// A solid BC7 block (mode 5) and a solid BC5 block.

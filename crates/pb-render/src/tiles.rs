@@ -10,7 +10,7 @@ use pb_lod::progressive_buffers::textures::{
 use crate::gpu::Gpu;
 use crate::share::Party;
 use crate::squares::PagesFull;
-use crate::texture_pool::{NewSquare, PageLimits, PoolSize, Storage, TexturePool};
+use crate::texture_pool::{NewSquare, PageLimits, PoolSize, PoolWish, Storage, TexturePool};
 
 /// Table entry of a mip that is not resident.
 const ABSENT: u32 = u32::MAX;
@@ -26,8 +26,9 @@ struct Needs {
     largest: u64,
     /// Of everything.
     all: u64,
-    /// log2 of the side of the largest mip, texels.
+    /// log2 of the side of the largest mip, and of the largest in a tail, texels.
     largest_log2: u32,
+    tail_log2: u32,
 }
 
 /// How much memory the textures of a model take.
@@ -49,15 +50,17 @@ impl TexturePlan {
         storages.dedup();
         let pool_of: Vec<usize> =
             storage.iter().map(|s| storages.binary_search(s).expect("it is among them")).collect();
-        let needs = needs(t, &pool_of, storages.len());
-        let bytes = |s: &Storage, n: &Needs| (n.all * s.unit_bytes()).min(bound);
-        let pools: Option<Vec<PoolSize>> = storages
-            .iter()
-            .zip(&needs)
-            .map(|(s, n)| PoolSize::empty(*s, n.largest_log2, bytes(s, n), limits))
-            .collect();
+        let pool = |(s, n): (&Storage, &Needs)| {
+            let (tail_log2, largest_log2, bytes) = (n.tail_log2, n.largest_log2, n.all * s.unit_bytes());
+            PoolSize::empty(*s, &PoolWish { tail_log2, largest_log2, bytes, bound }, limits)
+        };
+        let all = needs(t, &pool_of, &vec![u32::MAX; storages.len()]);
+        let pools: Option<Vec<PoolSize>> = storages.iter().zip(&all).map(pool).collect();
+        let pools = pools?;
+        let pages: Vec<u32> = pools.iter().map(|p| p.page_log2).collect();
+        let needs = needs(t, &pool_of, &pages);
         let places: usize = t.tiles.iter().map(|tile| t.maps.len() * (tile.last() as usize + 1)).sum();
-        Some(Self { pools: pools?, needs, pool_of, table_words: t.tiles.len() * CLUSTER_WORDS + places })
+        Some(Self { pools, needs, pool_of, table_words: t.tiles.len() * CLUSTER_WORDS + places })
     }
 
     /// Bytes of the table and of the squares through which others move.
@@ -103,6 +106,11 @@ impl TexturePlan {
         bytes
     }
 
+    /// True when some mip of a chunk is wider than the pages: it never is resident.
+    fn too_wide(&self, t: &Textures, chunk: usize) -> bool {
+        mips(t, chunk).any(|m| m.side > 1 << self.pools[self.pool_of[m.map as usize]].page_log2)
+    }
+
     /// Bytes of each pool for chunks that are no tails.
     fn room(&self) -> Vec<u64> {
         let room = |(p, n): (&PoolSize, &Needs)| p.bytes() - n.tails * p.storage.unit_bytes();
@@ -111,7 +119,7 @@ impl TexturePlan {
 
     /// One budget for all pools, and what each chunk costs of it. Chunks that keep to the budget together fit, each
     /// pool on its own: where pools are short, a chunk costs its largest share of any of them. Tails come as
-    /// their bytes and count for nothing in the budget.
+    /// their bytes and count for nothing in the budget; what never fits comes as `u64::MAX`.
     pub fn costs(&self, t: &Textures) -> (u64, Vec<u64>) {
         let (room, short) =
             (self.room(), self.pools.iter().zip(&self.needs).any(|(p, n)| p.bytes() < n.all * p.storage.unit_bytes()));
@@ -123,10 +131,14 @@ impl TexturePlan {
         };
         let cost = |chunk: usize| {
             let bytes = self.chunk_bytes(t, chunk);
-            match short && !is_tail(t, chunk) {
+            if is_tail(t, chunk) {
+                return bytes.iter().sum();
+            }
+            let cost = match short {
                 true => bytes.iter().zip(&room).map(share).max().unwrap_or(0),
                 false => bytes.iter().sum(),
-            }
+            };
+            if self.too_wide(t, chunk) || cost > budget { u64::MAX } else { cost }
         };
         (budget, (0..chunks(t)).map(cost).collect())
     }
@@ -156,14 +168,20 @@ fn units(mip: &MipPlace) -> u64 {
     (mip.side as u64 / 4).pow(2)
 }
 
-fn needs(t: &Textures, pool_of: &[usize], pools: usize) -> Vec<Needs> {
-    let mut out = vec![Needs { largest_log2: MIN_SIZE_LOG2 as u32, ..Needs::default() }; pools];
-    for chunk in 0..chunks(t) {
+/// By pool, of all chunks without a mip that is wider than its pool's page.
+fn needs(t: &Textures, pool_of: &[usize], page_log2: &[u32]) -> Vec<Needs> {
+    let (pools, least) = (page_log2.len(), MIN_SIZE_LOG2 as u32);
+    let mut out = vec![Needs { largest_log2: least, tail_log2: least, ..Needs::default() }; pools];
+    let fits = |chunk: &usize| mips(t, *chunk).all(|m| m.side.ilog2() <= page_log2[pool_of[m.map as usize]]);
+    for chunk in (0..chunks(t)).filter(fits) {
         let mut here = vec![0; pools];
         for mip in mips(t, chunk) {
             here[pool_of[mip.map as usize]] += units(&mip);
             let need = &mut out[pool_of[mip.map as usize]];
             need.largest_log2 = need.largest_log2.max(mip.side.ilog2());
+            if is_tail(t, chunk) {
+                need.tail_log2 = need.tail_log2.max(mip.side.ilog2());
+            }
         }
         for (need, here) in out.iter_mut().zip(here) {
             need.all += here;
@@ -256,8 +274,9 @@ impl GpuTiles {
         assert_eq!(bytes.len(), mips.iter().map(|m| m.bytes as usize).sum::<usize>(), "as the table says");
         let mut wanted = vec![0; self.pools.len()];
         mips.iter().for_each(|m| wanted[self.plan.pool_of[m.map as usize]] += units(m));
+        let too_wide = self.plan.too_wide(&self.tables(), chunk);
         for (pool, wanted) in self.pools.iter().zip(wanted) {
-            if wanted > pool.free_units() {
+            if too_wide || wanted > pool.free_units() {
                 return Err(PagesFull { wanted, free: pool.free_units() });
             }
         }

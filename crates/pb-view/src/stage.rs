@@ -29,6 +29,8 @@ use crate::stats::FrameStats;
 const NEAR: f64 = 1e-6;
 /// Most loader threads; decoding leaves half of the processor to the frame.
 const MAX_LOADERS: usize = 8;
+/// More bytes than any bound has: of chunks that are never wanted, and small enough to be summed up.
+const NEVER_FITS: u64 = 1 << 56;
 /// Most rounds of settling one frame.
 const MAX_SETTLE_ROUNDS: u32 = 100_000;
 
@@ -369,7 +371,7 @@ fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
         let in_ram = if texture { model.decoded_bytes(id) } else { u32::try_from(bytes).unwrap_or(u32::MAX) };
         ChunkInfo {
             ram_bytes: if always { 0 } else { in_ram },
-            vram_bytes: if always { 0 } else { bytes },
+            vram_bytes: if always { 0 } else { bytes.min(NEVER_FITS) },
             pool: texture as usize,
             coarser: model.needs(id).map(|c| pb_stream::ChunkId(c.0)),
             pinned: false,

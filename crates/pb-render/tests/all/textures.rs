@@ -323,6 +323,25 @@ fn chunks_within_the_budget_always_find_a_place_and_look_as_in_a_roomy_pool() {
     assert!(used > 0.3, "the pools were under pressure: {used}");
 }
 
+#[test]
+fn a_bound_far_below_the_largest_mip_shows_coarser_ones() {
+    let Some(gpu) = crate::adapter("small bounds") else { return };
+    let mut random = Random(2);
+    let mut fill = |_: u32, m: &MipPlace| noise(&mut random, m.bytes);
+    let model = TexturedModel::new(7, &[BASE], &[tile(11)], 65535, &mut fill);
+    let bound = 2 << 20;
+    let mut renderer = model.renderer(&gpu, bound);
+    assert!(renderer.model.plan().bytes() <= bound);
+    let (budget, costs) = renderer.model.texture_costs();
+    let fits: Vec<u32> = (0..6).rev().take_while(|&l| costs[l as usize] <= budget).collect();
+    assert_eq!(fits, [5, 4, 3], "mips of 64 to 256 texels: 512 are 1 MiB, wider than a page");
+    assert!(renderer.model.upload_texture(&gpu, model.chunk(0, 2), &model.bytes[2]).is_err());
+    fits.iter().for_each(|&l| model.upload(&gpu, &mut renderer, model.chunk(0, l)));
+    let picture = albedo(256, 1.0, &[0.0]).take(&gpu, &model, &renderer);
+    let texel = &model.bytes[3][(100 * 256 + 100) * 4..][..3];
+    assert!(picture[100 * 256 + 100].iter().zip(texel).all(|(a, b)| a.abs_diff(*b) <= 2));
+}
+
 /// With one map a chunk costs its bytes and no more, so that a full budget is a full pool, where squares have to move.
 #[test]
 fn squares_that_move_keep_their_texels() {

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::super::display::lod_from;
 use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
 use super::super::switch::{Switch, increasing, min_step};
-use super::super::textures::Textures;
+use super::super::textures::{Textures, TileRecord};
 use crate::plan::ChunkId;
 
 /// The archive's tables as selection reads them once; see [`super::super::layout`] for each.
@@ -24,7 +24,7 @@ pub struct SelectTables<'a> {
     /// Maps and tiles, where the model has textures.
     pub textures: Option<Textures<'a>>,
     /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures,
-    /// in the unit of theirs, follow where there are any.
+    /// in the unit of theirs, follow where there are any; `u64::MAX` for those that never fit and are not to be wanted.
     pub chunk_bytes: &'a [u64],
 }
 
@@ -61,6 +61,25 @@ pub(super) struct Node {
     pub texel: f32,
 }
 
+/// What the walk up and down the mips of a cluster needs.
+#[derive(Clone, Copy)]
+struct Tile {
+    /// Texel size of mip 0, input units.
+    texel: f32,
+    /// The finest mip that ever fits.
+    finest: u32,
+    /// The mip that the tail begins with.
+    tail: u32,
+}
+
+impl Tile {
+    fn new(record: &TileRecord, levels: u32, chunk_bytes: &[u64]) -> Tile {
+        let tail = record.tail(levels);
+        let fits = |l: &u32| chunk_bytes[*l as usize] < u64::MAX;
+        Tile { texel: record.texel, finest: (0..tail).rev().take_while(fits).last().unwrap_or(tail), tail }
+    }
+}
+
 pub(super) struct Tables {
     pub origin: DVec3,
     pub quantum: f64,
@@ -74,8 +93,8 @@ pub(super) struct Tables {
     triangles: Vec<u32>,
     /// Bytes of the chunks `level .. levels - 1` of the cluster, in the order of the chunks.
     finer_bytes: Vec<u64>,
-    /// Per cluster where there are textures: texel size of mip 0, and the mip that the tail begins with.
-    tiles: Vec<(f32, u32)>,
+    /// Where there are textures, by cluster.
+    tiles: Vec<Tile>,
     /// First index of each cluster in the coarse buffer, and the end of the last.
     coarse_first: Vec<u32>,
     /// First neighbour of each cluster, and the end of the last.
@@ -103,7 +122,8 @@ impl Tables {
                 .textures
                 .iter()
                 .flat_map(|x| x.tiles)
-                .map(|tile| (tile.texel, tile.tail(t.model.levels)))
+                .zip(t.chunk_bytes[count * levels..].chunks(levels))
+                .map(|(tile, bytes)| Tile::new(tile, t.model.levels, bytes))
                 .collect(),
             coarse_first: vec![0],
             neighbours_first: vec![0],
@@ -144,7 +164,7 @@ impl Tables {
                 .iter()
                 .skip(n.first_cluster as usize)
                 .take(n.cluster_count as usize)
-                .map(|&(texel, tail)| if tail > 0 { texel * (1u32 << tail) as f32 } else { 0.0 })
+                .map(|x| if x.tail > 0 { x.texel * (1u32 << x.tail) as f32 } else { 0.0 })
                 .fold(0.0, f32::max),
         };
         nodes.iter().map(node).collect()
@@ -178,7 +198,7 @@ impl Tables {
     pub fn coarsest(&self, ladder: Ladder, cluster: u32) -> u32 {
         match ladder {
             Ladder::Geometry => self.levels - 1,
-            Ladder::Texture => self.tiles[cluster as usize].1,
+            Ladder::Texture => self.tiles[cluster as usize].tail,
         }
     }
 
@@ -208,7 +228,7 @@ impl Tables {
     /// texels.
     pub fn error_if_missing(&self, ladder: Ladder, cluster: u32, level: u32) -> f32 {
         match (ladder, level + 1 < self.levels) {
-            (Ladder::Texture, _) => self.tiles[cluster as usize].0 * (2u32 << level) as f32,
+            (Ladder::Texture, _) => self.tiles[cluster as usize].texel * (2u32 << level) as f32,
             (Ladder::Geometry, true) => self.error(cluster, level + 1),
             (Ladder::Geometry, false) => {
                 (self.sphere(cluster).radius * self.quantum as f32).max(2.0 * self.error(cluster, level))
@@ -250,14 +270,15 @@ impl Tables {
     }
 
     /// The same for textures: a mip is fine enough where its texels are as small as the pixels, or as the allowed error
-    /// where that is larger. With bands, textures follow the geometry. 0 to the first mip of the tail.
+    /// where that is larger. With bands, textures follow the geometry. From the finest mip that fits to the first of the
+    /// tail.
     pub fn texture_lod(&self, switch: &Switch, cluster: u32, reach: f32) -> f32 {
-        let (texel, tail) = self.tiles[cluster as usize];
+        let Tile { texel, finest, tail } = self.tiles[cluster as usize];
         if switch.bands.is_some() {
-            return self.lod(switch, cluster, reach).min(tail as f32);
+            return self.lod(switch, cluster, reach).clamp(finest as f32, tail as f32);
         }
         let allowed = reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL;
-        (allowed / texel).log2().clamp(0.0, tail as f32)
+        (allowed / texel).log2().clamp(finest as f32, tail as f32)
     }
 
     /// The level of detail of either kind.

@@ -120,3 +120,22 @@ fn mips_are_held_under_their_budget_and_leave_the_geometry_alone() {
     let none = Bench::new().select(500.0, 1.0, 0, f32::INFINITY);
     assert_eq!((bytes(&none), wanted(&none, false)), (0, wanted(&all, false)));
 }
+
+#[test]
+fn mips_that_never_fit_are_not_wanted() {
+    let torus = GridTorus::new(4, LEVELS).with_textures(8, TEXEL);
+    let tables = torus.tables();
+    let mut chunk_bytes = tables.chunk_bytes.to_vec();
+    let first = torus.clusters.len() * LEVELS as usize;
+    chunk_bytes[first] = u64::MAX;
+    chunk_bytes[first + LEVELS as usize + 1] = u64::MAX;
+    let mut bench = Bench::new();
+    bench.selector = Selector::new(&SelectTables { chunk_bytes: &chunk_bytes, ..tables });
+    let plan = bench.select(500.0, 1.0, 1 << 40, f32::INFINITY);
+    let finest = |cluster: usize| {
+        let mips = first + cluster * LEVELS as usize..first + (cluster + 1) * LEVELS as usize;
+        plan.wants.iter().filter(|w| mips.contains(&(w.chunk.0 as usize))).map(|w| w.chunk.0 % LEVELS).min()
+    };
+    assert_eq!([0, 1, 2].map(finest), [Some(1), Some(2), Some(0)]);
+    assert_eq!(plan.detail, Some(Detail::ErrorPx(1.0)));
+}
