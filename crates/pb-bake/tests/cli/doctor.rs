@@ -4,10 +4,10 @@ use crate::harness::{Place, Run};
 use std::process::Command;
 
 /// pb-bake alone in a folder, where it finds no helper by chance.
-struct Alone(Place);
+pub struct Alone(pub Place);
 
 impl Alone {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let place = Place::new();
         // By another process: a file open for writing here cannot be executed from another thread.
         let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_pb-bake")).arg(place.path("pb-bake")).status();
@@ -16,8 +16,15 @@ impl Alone {
     }
 
     fn command(&self, args: &[&str]) -> Command {
+        let mut command = self.pb_bake();
+        command.arg("doctor").args(args);
+        command
+    }
+
+    /// The program, in the folder.
+    pub fn pb_bake(&self) -> Command {
         let mut command = Command::new(self.0.path("pb-bake"));
-        command.arg("doctor").args(args).env_remove("PB_XATLAS").env("PATH", self.0.path("bin"));
+        command.env_remove("PB_XATLAS").env("PATH", self.0.path("bin")).current_dir(self.0.path("."));
         command
     }
 

@@ -5,5 +5,8 @@ mod bake;
 #[cfg(unix)]
 mod doctor;
 mod harness;
+mod shared_files;
 mod textured_export;
 mod textures;
+#[cfg(unix)]
+mod xatlas;
