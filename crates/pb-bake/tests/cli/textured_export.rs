@@ -16,7 +16,7 @@ fn place() -> Place {
     let points = || (0..=QUADS).flat_map(|y| (0..=QUADS).map(move |x| (x as f64, y as f64)));
     let mut obj = String::from("mtllib sheet.mtl\nusemtl a\n");
     points().for_each(|(x, y)| obj += &format!("v {x} {y} {}\n", (x / 5.0).sin() + (y / 7.0).cos()));
-    points().for_each(|(x, y)| obj += &format!("vt {} {}\n", x / QUADS as f64, y / QUADS as f64));
+    points().for_each(|(x, y)| obj += &format!("vt {} {}\n", part(x), part(y)));
     for (x, y) in (0..QUADS * QUADS).map(|i| (i % QUADS, i / QUADS)) {
         let a = y * (QUADS + 1) + x + 1;
         let corner = |i: usize| format!("{i}/{i}");
@@ -31,10 +31,15 @@ fn place() -> Place {
     place
 }
 
+/// Texture coordinate of a place: away from the image's borders, where it would repeat.
+fn part(place: f64) -> f64 {
+    0.1 + 0.8 * place / QUADS as f64
+}
+
 /// What the image says at a place of the sheet.
 fn expected([x, y]: [f64; 2]) -> [f64; 3] {
     let texel = |part: f64| (f64::from(SIDE) * part - 0.5).clamp(0.0, f64::from(SIDE - 1));
-    [2.0 * texel(x / QUADS as f64), 2.0 * texel(1.0 - y / QUADS as f64), 64.0]
+    [2.0 * texel(part(x)), 2.0 * texel(1.0 - part(y)), 64.0]
 }
 
 /// Between the four nearest texels.
