@@ -85,6 +85,9 @@ pub struct BakeArgs {
     /// Widest texture tile of a cluster, texels: a power of two from 32 to 4096
     #[arg(long, value_name = "N", default_value_t = DEFAULT_TILE_SIZE, value_parser = tile_size)]
     pub tile_size: u32,
+    /// Keep the normals of the finest level as a map, so that coarse levels are lit like it; also for models without images
+    #[arg(long)]
+    pub normal_map: bool,
     /// How long to search for good texture blocks
     #[arg(long, value_enum, default_value_t = TextureQuality::Normal)]
     pub texture_quality: TextureQuality,
@@ -132,7 +135,7 @@ pub enum Normals {
 /// Where charts come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ChartsFrom {
-    /// The texture coordinates of the input, texels copied one to one
+    /// The texture coordinates of the input, texels copied one to one; with --normal-map only where they are usable
     Source,
     /// The built-in method: new charts, texels resampled
     Auto,

@@ -9,7 +9,7 @@ use pb_bake::import::{self, InputReport};
 use pb_lod::progressive_buffers::bake::BakeReport;
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::material::Material;
-use pb_mesh::mesh::Mesh;
+use pb_mesh::mesh::{Mesh, Texturing};
 use pb_mesh::repair::{MeshError, RepairReport, repair};
 use pb_mesh::texture::image::Image;
 use serde::Serialize;
@@ -17,7 +17,7 @@ use std::fmt::Write as _;
 
 /// All that a bake begins with.
 pub struct Scene {
-    /// With texturing where there are images.
+    /// With texturing where there are images or a normal map is wanted.
     pub mesh: Mesh,
     /// What the mesh's triangles count; none without images.
     pub materials: Vec<Material>,
@@ -27,7 +27,7 @@ pub struct Scene {
     pub inputs: Vec<InputReport>,
     /// What was found and done to the mesh.
     pub repairs: RepairReport,
-    /// None without images.
+    /// None without images and normal map.
     pub textures: Option<TextureSummary>,
 }
 
@@ -64,7 +64,10 @@ impl TextureSummary {
     /// For people.
     pub fn text(&self) -> String {
         let TextureSummary { images, texels, placeholders, charts, tile_texels, tile_bytes, .. } = self;
-        let mut text = format!("textures: {images} images, {texels} texels, {placeholders} placeholders\n");
+        let mut text = match images {
+            0 => String::new(),
+            _ => format!("textures: {images} images, {texels} texels, {placeholders} placeholders\n"),
+        };
         let _ = write!(text, "charts: {charts}, ");
         let from = [
             (self.source_clusters, "of the source"),
@@ -125,14 +128,17 @@ pub fn load(args: &BakeArgs, progress: &Progress) -> Result<Scene, Failure> {
         progress.note(&format!("warning: {}: {warning}", input.path.display()));
     }
     let (images, textures) = match import.images.is_empty() {
-        true => (Vec::new(), None),
+        true => (Vec::new(), args.normal_map.then(TextureSummary::default)),
         false => decode(&import.images, args, progress).map(|(images, summary)| (images, Some(summary)))?,
     };
     progress.stage("repair");
-    let (mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
+    let (mut mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
         MeshError::BadTolerance { .. } => blame_machine(e),
         e => blame_input(e),
     })?;
+    if args.normal_map && mesh.texturing.is_none() {
+        mesh.texturing = Some(Texturing::plain(mesh.triangles.len()));
+    }
     Ok(Scene { mesh, materials: import.materials, images, inputs: import.inputs, repairs, textures })
 }
 

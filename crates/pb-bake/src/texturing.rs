@@ -9,8 +9,8 @@ use pb_lod::progressive_buffers::bake::{
 };
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::charts::{Charts, ClusterSurface};
-use pb_mesh::texture::Quality;
 use pb_mesh::texture::image::Image;
+use pb_mesh::texture::{NormalSpace, Quality};
 use serde::Serialize;
 use std::sync::Mutex;
 use std::time::Duration;
@@ -59,7 +59,7 @@ pub fn bake_scene(
                 TextureQuality::Best => Quality::Best,
             },
             compress: args.texture_format == TexelFormat::Bc,
-            ..TexelOptions::default()
+            normal_space: if args.normal_map { NormalSpace::Object } else { NormalSpace::Tangent },
         },
     };
     let triangles_in = scene.repairs.triangles_in;

@@ -3,29 +3,33 @@
 mod common;
 
 use common::Random;
+use glam::DVec3;
 use pb_archive::{MemoryStorage, Writer};
 use pb_lod::progressive_buffers::bake::{
     BakeOptions, BakeReport, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::layout::{SCHEME, Vertex};
 use pb_lod::progressive_buffers::model::Model;
+use pb_lod::progressive_buffers::textures::{MapFormat, MapKind, MapRecord};
 use pb_lod::progressive_buffers::verify::verify;
-use pb_lod::progressive_buffers::write::write_model;
+use pb_lod::progressive_buffers::write::{BakedModel, write_model};
 use pb_mesh::material::{Material, Slot, TextureRef};
-use pb_mesh::mesh::Soup;
+use pb_mesh::mesh::{Soup, Texturing};
 use pb_mesh::repair::{RepairOptions, repair};
 use pb_mesh::texture::Texels;
 use pb_mesh::texture::image::{Image, TexelFormat};
-use pb_mesh::texture::{BlockFormat, decode};
+use pb_mesh::texture::{BlockFormat, NormalSpace, decode};
 use std::path::Path;
 use std::sync::Arc;
 
 const LEVELS: u32 = 5;
 
+fn height(u: f64, v: f64) -> f64 {
+    0.05 * (u * 9.0).sin() * (v * 7.0).cos() + 0.004 * (u * 83.0).sin() * (v * 71.0).sin()
+}
+
 /// Hills of `2 cells^2` triangles over the unit square.
 fn hills(cells: u32) -> Soup {
-    let height =
-        |u: f64, v: f64| 0.05 * (u * 9.0).sin() * (v * 7.0).cos() + 0.004 * (u * 83.0).sin() * (v * 71.0).sin();
     let side = cells + 1;
     let mut soup = Soup::default();
     for (i, j) in (0..side).flat_map(|j| (0..side).map(move |i| (i, j))) {
@@ -79,13 +83,35 @@ fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) ->
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles, ..BakeOptions::default() };
     let (model, report) = bake_textured(&mesh, Some(&textures), count, &options, &|_, _| {}).expect("options in range");
-    let storage = MemoryStorage::default();
-    let writer = Writer::with_storage(storage.clone(), Path::new("textured.pb"), SCHEME).expect("in memory");
-    write_model(writer, &model).expect("in memory");
-    (Model::from_bytes(Path::new("textured.pb"), &storage.to_vec()).expect("sound"), report)
+    (opened(&model), report)
 }
 
-/// A cluster with its decoded base colour mips.
+/// Through a file in memory.
+fn opened(model: &BakedModel) -> Model {
+    let storage = MemoryStorage::default();
+    let writer = Writer::with_storage(storage.clone(), Path::new("textured.pb"), SCHEME).expect("in memory");
+    write_model(writer, model).expect("in memory");
+    Model::from_bytes(Path::new("textured.pb"), &storage.to_vec()).expect("sound")
+}
+
+/// Without images, with a normal map; `paint` gives vertices their colours.
+fn baked_with_normals(mut soup: Soup, paint: Option<[u8; 4]>) -> Model {
+    let count = soup.triangles.len();
+    soup.colors = paint.map_or(Vec::new(), |c| vec![c; soup.positions.len()]);
+    let (mut mesh, _) = repair(soup, &RepairOptions::default()).expect("a sound mesh");
+    mesh.texturing = Some(Texturing::plain(mesh.triangles.len()));
+    let textures = TextureInput {
+        materials: &[],
+        images: &[],
+        charts: ChartOptions { mode: ChartMode::Best, tile_size: 4096, charter: None },
+        texels: TexelOptions { normal_space: NormalSpace::Object, ..TexelOptions::default() },
+    };
+    let options = BakeOptions { levels: LEVELS, cluster_triangles: 4096, ..BakeOptions::default() };
+    let baked = bake_textured(&mesh, Some(&textures), count as u64, &options, &|_, _| {});
+    opened(&baked.expect("options in range").0)
+}
+
+/// A cluster with the decoded mips of its first map.
 struct Tile {
     vertices: Vec<Vertex>,
     indices: Vec<Vec<u16>>,
@@ -228,4 +254,67 @@ fn colours_stay_where_they_belong_on_the_surface_at_every_level() {
         }
         assert!(sum / count < 1.5 && worst < 30.0, "{mode:?}: mean {:.2}, worst {worst:.1} of 255", sum / count);
     }
+}
+
+/// Per level: how far light from the side is off on average, by the normals of the vertices and by those of the map.
+fn light_off(model: &Model) -> Vec<[f64; 2]> {
+    let sun = DVec3::new(0.6, 0.5, 0.62).normalize();
+    let truth = |at: DVec3| {
+        let slope = |d: f64, e: f64| (height(at.x + d, at.y + e) - height(at.x - d, at.y - e)) / 2e-4;
+        DVec3::new(-slope(1e-4, 0.0), -slope(0.0, 1e-4), 1.0).normalize()
+    };
+    let mut random = Random(5);
+    let mut sums = vec![[0.0; 3]; LEVELS as usize];
+    for cluster in 0..model.record().clusters {
+        let tile = Tile::read(model, cluster);
+        for (level, indices) in tile.indices.iter().enumerate() {
+            for t in indices.chunks_exact(3) {
+                let corners = [0, 1, 2].map(|k| tile.vertices[t[k] as usize]);
+                let places = corners.map(|v| model.world(model.grid(cluster, &v)));
+                let area = (places[1] - places[0]).cross(places[2] - places[0]).length();
+                for _ in 0..4 {
+                    let w = weights(&mut random);
+                    let mix = |of: &dyn Fn(usize) -> DVec3| (0..3).map(|i| of(i) * f64::from(w[i])).sum::<DVec3>();
+                    let uv = [0, 1].map(|k| (0..3).map(|i| w[i] * f32::from(corners[i].uv()[k])).sum::<f32>());
+                    let stored = DVec3::from(tile.sample(0, uv).map(|c| f64::from(c) / 127.5 - 1.0)).normalize();
+                    let vertices = mix(&|i| DVec3::from(corners[i].normal().map(f64::from))).normalize();
+                    let light = |n: DVec3| n.dot(sun).max(0.0);
+                    let wanted = light(truth(mix(&|i| places[i])));
+                    let sum = &mut sums[level];
+                    sum[0] += area * (light(vertices) - wanted).abs();
+                    sum[1] += area * (light(stored) - wanted).abs();
+                    sum[2] += area;
+                }
+            }
+        }
+    }
+    sums.iter().map(|s| [s[0] / s[2], s[1] / s[2]]).collect()
+}
+
+#[test]
+fn coarse_levels_are_lit_like_the_finest_by_its_normals() {
+    let model = baked_with_normals(hills(128), None);
+    verify(&model).unwrap_or_else(|b| panic!("{}", b[0]));
+    let normals = MapRecord::new(MapKind::Normal, MapFormat::Bc7Linear);
+    assert_eq!(model.textures().expect("tiles").maps, [normals], "no colour, so surfaces stay as they are without");
+    let off = light_off(&model);
+    for level in 2..LEVELS as usize {
+        let [vertices, map] = off[level];
+        assert!(map < 0.5 * vertices, "level {level}: {off:.4?}");
+    }
+    assert!(off[0][1] < 1.4 * off[0][0], "{off:.4?}");
+}
+
+#[test]
+fn a_normal_map_beside_one_colour_costs_that_colour_one_block() {
+    let model = baked_with_normals(hills(64), Some([200, 100, 50, 255]));
+    verify(&model).unwrap_or_else(|b| panic!("{}", b[0]));
+    let textures = model.textures().expect("tiles");
+    let maps = [(MapKind::BaseColor, MapFormat::Bc7Srgb), (MapKind::Normal, MapFormat::Bc7Linear)];
+    assert_eq!(textures.maps, maps.map(|(kind, format)| MapRecord::new(kind, format)));
+    for tile in textures.tiles {
+        assert!(tile.size_log2 > 5 && tile.first[..2] == [tile.size_log2 - 2, 0], "{tile:?}");
+    }
+    let tile = Tile::read(&model, 0);
+    assert!(tile.mips[0].1.iter().all(|t| t[..3].iter().zip([200u8, 100, 50]).all(|(a, b)| a.abs_diff(b) <= 2)));
 }

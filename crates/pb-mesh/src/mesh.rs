@@ -116,6 +116,13 @@ pub struct Texturing {
     pub corner_uvs: Vec<Vec<[[f32; 2]; 3]>>,
 }
 
+impl Texturing {
+    /// Of a mesh of so many triangles without materials.
+    pub fn plain(triangles: usize) -> Texturing {
+        Texturing { material_of: vec![NO_MATERIAL; triangles], corner_uvs: Vec::new() }
+    }
+}
+
 impl Mesh {
     /// The position indices of a triangle's corners.
     pub fn corner_positions(&self, triangle: usize) -> [u32; 3] {

@@ -118,10 +118,11 @@ impl Pipelines {
             bind_group_layouts: if kind.textured { &layouts } else { &layouts[..1] },
             immediate_size: 0,
         });
-        let cutouts = tiles.is_some_and(|t| t.cutouts);
+        let mut constants = vec![("cutouts", tiles.is_some_and(|t| t.cutouts) as u32 as f64)];
+        constants.extend(tiles.map(|t| ("object_normals", t.object_normals() as u32 as f64)));
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;
-            let shader = Shader { layout: &pipeline_layout, module: &module, entry, cutouts };
+            let shader = Shader { layout: &pipeline_layout, module: &module, entry, constants: &constants };
             wanted.then(|| pipeline(gpu, &shader, picture, mode))
         };
         let modes = [wgpu::PolygonMode::Fill, wgpu::PolygonMode::Line];
@@ -233,8 +234,8 @@ struct Shader<'a> {
     module: &'a wgpu::ShaderModule,
     /// Of the vertex stage.
     entry: &'a str,
-    /// Fragments may be holes.
-    cutouts: bool,
+    /// Of the fragment stage.
+    constants: &'a [(&'static str, f64)],
 }
 
 fn pipeline(
@@ -243,7 +244,6 @@ fn pipeline(
     picture: PictureFormat,
     polygon_mode: wgpu::PolygonMode,
 ) -> wgpu::RenderPipeline {
-    let constants = [("cutouts", shader.cutouts as u32 as f64)];
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(shader.entry),
         layout: Some(shader.layout),
@@ -265,7 +265,7 @@ fn pipeline(
         fragment: Some(wgpu::FragmentState {
             module: shader.module,
             entry_point: Some("fs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
+            compilation_options: wgpu::PipelineCompilationOptions { constants: shader.constants, ..Default::default() },
             targets: &[Some(picture.color.into())],
         }),
         multiview_mask: None,

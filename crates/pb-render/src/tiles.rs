@@ -338,6 +338,12 @@ impl GpuTiles {
         gpu.queue.write_buffer(&self.table_buffer, 0, bytemuck::cast_slice(&floors));
     }
 
+    /// True where the normal map holds normals of the model, not of the tile's frame.
+    pub fn object_normals(&self) -> bool {
+        let map = self.maps.iter().find(|m| m.kind() == Some(MapKind::Normal));
+        map.is_some_and(|m| matches!(format(m), MapFormat::Bc7Linear | MapFormat::Rgba8Linear))
+    }
+
     /// The map of a kind: its place in the model's order, and all pages of its pool.
     pub fn map(&self, kind: MapKind) -> Option<(usize, wgpu::TextureView)> {
         let map = self.maps.iter().position(|m| m.kind() == Some(kind))?;

@@ -67,3 +67,14 @@ fn large_images_need_room_and_say_so() {
     place.run(&["m.obj", "m.pb"]).succeeds();
     assert_eq!(place.files().len(), before.len() + 1, "temporary files have no names");
 }
+
+#[test]
+fn models_without_images_get_tiles_where_a_normal_map_is_wanted() {
+    let place = place();
+    place.write("bare.obj", OBJ.replace("mtllib m.mtl\n", "").as_bytes());
+    let run = place.run(&["bare.obj", "b.pb", "--normal-map"]).succeeds();
+    assert!(run.stdout.contains("charts: 1, new in 1 clusters\n") && run.stdout.contains("tiles: "), "{}", run.stdout);
+    place.run(&["verify", "b.pb"]).succeeds();
+    place.run(&["m.obj", "m.pb", "--normal-map", "--charts", "source"]).succeeds();
+    place.run(&["verify", "m.pb"]).succeeds();
+}

@@ -1,5 +1,10 @@
 // The surface of a textured model. Needs surface.wgsl and textures.wgsl before it.
 
+// Normal maps hold x, y, z of the model instead of x, y in the tile's frame.
+override object_normals: bool = false;
+// Mixtures of normals that are shorter have no direction.
+const SHORTEST = 0.05;
+
 // The frame of the tile at a fragment, as pb-mesh's texture/normal.rs defines it, from derivatives (Mikkelsen 2010,
 // "Bump mapping unparametrized surfaces on the GPU"): along dP/du at right angles to the normal; at right angles to both,
 // on the side away from dP/dv (green up, v runs down); the normal. Where u, v stand still: the normal alone.
@@ -45,10 +50,14 @@ fn surface_of(f: Fragment) -> Surface {
     }
     let normal = map_of(NORMAL);
     if normal != NO_MAP {
-        let xy = sample_map(normal_pages, p, normal).rg * 2.0 - 1.0;
-        let z = sqrt(max(1.0 - dot(xy, xy), 0.0));
-        let frame = tile_frame(s.normal, dpdx(f.center_position), dpdy(f.center_position), dx, dy);
-        s.normal = normalize(frame * vec3<f32>(xy, z));
+        let n = sample_map(normal_pages, p, normal).rgb * 2.0 - 1.0;
+        if object_normals {
+            s.normal = select(s.normal, normalize(n), dot(n, n) > SHORTEST * SHORTEST);
+        } else {
+            let z = sqrt(max(1.0 - dot(n.xy, n.xy), 0.0));
+            let frame = tile_frame(s.normal, dpdx(f.center_position), dpdy(f.center_position), dx, dy);
+            s.normal = normalize(frame * vec3<f32>(n.xy, z));
+        }
     }
     let emissive = map_of(EMISSIVE);
     if emissive != NO_MAP {

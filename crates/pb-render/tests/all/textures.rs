@@ -235,6 +235,26 @@ fn glossy_surfaces_shine_without_a_speck_and_rough_ones_look_matt() {
     }
 }
 
+#[test]
+fn normals_of_the_model_are_shown_whatever_the_triangle_and_its_frame() {
+    let Some(gpu) = crate::adapter("normals of the model") else { return };
+    for (texel, expected) in [([128u8, 52, 26, 255], [0.0, -0.6, -0.8]), ([26, 52, 128, 255], [-0.8, -0.6, 0.0])] {
+        let mut fill = |_: u32, m: &MipPlace| texel.repeat(m.bytes as usize / 4);
+        let map = (MapKind::Normal, MapFormat::Rgba8Linear);
+        let model = TexturedModel::new(1, &[map], &[tile(5)], 32768, &mut fill);
+        for place in [(16.0, 16.0, DVec3::Y), (2.0, 30.0, DVec3::X)] {
+            let seen = normal_seen(&gpu, &model, place);
+            assert!(seen.iter().zip(expected).all(|(s, n)| (s - n).abs() < 0.03), "{texel:?}: {seen:?}");
+        }
+    }
+    // A mixture that cancels out has no direction: the triangle's own normal is left.
+    let map = (MapKind::Normal, MapFormat::Rgba8Linear);
+    let mut fill = |_: u32, m: &MipPlace| [127u8, 128, 127, 255].repeat(m.bytes as usize / 4);
+    let model = TexturedModel::new(1, &[map], &[tile(5)], 32768, &mut fill);
+    let seen = normal_seen(&gpu, &model, (16.0, 16.0, DVec3::Y));
+    assert!(seen[2] > 0.97, "{seen:?}");
+}
+
 /// Tiles of several sizes and maps of several formats, some of them small.
 fn mixed(random: &mut Random, clusters: usize) -> TexturedModel {
     let maps = [BASE, (MapKind::Orm, MapFormat::Bc7Linear), (MapKind::Normal, MapFormat::Bc5)];

@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 const PLAIN: u32 = 1 << 31;
 /// Where vertex colours are all there is, a tile has this many texels per mean edge length.
 const TEXELS_PER_EDGE: f64 = 2.0;
+/// Where the finest normals are kept, a tile has at least this many texels per mean edge length.
+const NORMAL_TEXELS_PER_EDGE: f64 = 1.5;
 /// Share of a surface whose texels are at most as large as a tile's or a chart's texel size says.
 const TEXEL_PERCENTILE: f64 = 0.95;
 /// New charts may be this much sparser than their source, where the next larger tile would be four times as many texels.
@@ -33,6 +35,8 @@ pub(super) struct Part {
     keys: Vec<u32>,
     /// Some triangle without an image has corners of different colours.
     shaded: bool,
+    /// Every triangle needs texels, for its normals.
+    normals: bool,
 }
 
 impl Part {
@@ -51,6 +55,7 @@ impl Part {
             texels: Vec::with_capacity(members.len()),
             keys: Vec::with_capacity(members.len()),
             shaded: false,
+            normals: input.normals,
         };
         let mut plain_looks: BTreeMap<(u32, [u8; 4]), u32> = BTreeMap::new();
         for &t in members {
@@ -104,13 +109,17 @@ impl Part {
         let mut why = None;
         if options.mode != ChartMode::Auto {
             let (charts, report) = source_charts(&self.surface(), &self.texels, &self.keys);
-            let usable = match self.shaded {
-                true => Err("vertex colours without an image".to_string()),
-                false => report.usable(),
+            let plain = self.keys.iter().filter(|&&key| key >= PLAIN).count();
+            let usable = match () {
+                _ if self.shaded => Err("vertex colours without an image".to_string()),
+                _ if self.normals && plain > 0 => Err("normals without an image".to_string()),
+                _ => report.usable(),
             };
             match usable {
-                _ if options.mode == ChartMode::Source => return (charts, Origin::Source),
+                // Normals of two places cannot share texels.
+                _ if options.mode == ChartMode::Source && !self.normals => return (charts, Origin::Source),
                 Ok(()) => return (charts, Origin::Source),
+                Err(_) if self.normals && plain == self.keys.len() => {}
                 // Counts differ from cluster to cluster; what they are of does not.
                 Err(reason) => why = reason.split(':').next().map(str::to_owned),
             }
@@ -131,10 +140,9 @@ impl Part {
             let [a, b, c] = self.corners(t);
             [a.distance(b), b.distance(c), c.distance(a)]
         });
-        let plain = match self.shaded {
-            true => TEXELS_PER_EDGE * (3 * self.triangles.len()) as f64 / edges.sum::<f64>().max(f64::MIN_POSITIVE),
-            false => 0.0,
-        };
+        let per_edge = (3 * self.triangles.len()) as f64 / edges.sum::<f64>().max(f64::MIN_POSITIVE);
+        let least = if self.normals { NORMAL_TEXELS_PER_EDGE * per_edge } else { 0.0 };
+        let plain = if self.shaded { TEXELS_PER_EDGE * per_edge } else { least };
         let mut samples: Vec<Vec<(f64, f64)>> = vec![Vec::new(); charts.count as usize];
         for t in 0..self.triangles.len() {
             let uv = self.texels[t].map(|p| DVec2::new(p[0].into(), p[1].into()));
@@ -144,7 +152,7 @@ impl Part {
                 false => ((uv[1] - uv[0]).perp_dot(uv[2] - uv[0]).abs() / area).sqrt(),
             };
             if density.is_finite() {
-                samples[charts.chart_of[t] as usize].push((density, area));
+                samples[charts.chart_of[t] as usize].push((density.max(least), area));
             }
         }
         let texels = |density: f64, area: f64| density * density * area;

@@ -117,6 +117,8 @@ pub(super) struct ChartInput<'a> {
     pub clusters: &'a Clusters,
     pub materials: &'a [Material],
     pub images: &'a [Option<Image>],
+    /// Tiles hold the normals of the finest level.
+    pub normals: bool,
 }
 
 /// Triangles per cluster, at most `most`, so that the texels of a cluster fill a tile well: a tile has a power of two of

@@ -30,6 +30,7 @@ use pb_mesh::material::Material;
 use pb_mesh::mesh::Mesh;
 use pb_mesh::segment::{Segmentation, segment};
 use pb_mesh::simplify::{UnisonInput, simplify};
+use pb_mesh::texture::NormalSpace;
 use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
@@ -160,8 +161,9 @@ pub fn bake_textured(
     let clusters = Clusters::new(mesh, &triangles, max_triangles);
     let tiles = textures.map(|t| {
         progress(Stage::Charts, 0.0);
-        let input =
-            ChartInput { mesh, triangles: &triangles, clusters: &clusters, materials: t.materials, images: t.images };
+        let normals = t.texels.normal_space == NormalSpace::Object;
+        let (materials, images) = (t.materials, t.images);
+        let input = ChartInput { mesh, triangles: &triangles, clusters: &clusters, materials, images, normals };
         make_tiles(&input, &t.charts, &|x| progress(Stage::Charts, x))
     });
     progress(Stage::Simplify, 0.0);

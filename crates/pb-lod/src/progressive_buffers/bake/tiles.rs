@@ -9,7 +9,6 @@ use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
 use glam::IVec3;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::{Mesh, Texturing};
-use pb_mesh::texture::image::Image;
 use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
     encode_shown,
@@ -24,7 +23,8 @@ pub struct TexelOptions {
     pub quality: Quality,
     /// Blocks of 4 x 4 texels; else plain texels, which take 4 times the room.
     pub compress: bool,
-    /// Of normal maps.
+    /// Of normal maps. [`NormalSpace::Object`] makes one for every model that has a
+    /// [`Texturing`](pb_mesh::mesh::Texturing), be it one without images: coarse levels are lit like the finest.
     pub normal_space: NormalSpace,
 }
 
@@ -42,8 +42,9 @@ struct Map {
     hdr: bool,
 }
 
-/// The maps that a model with these materials has.
-fn maps(materials: &[Material], images: &[Option<Image>], options: &TexelOptions) -> Vec<Map> {
+/// The maps that a model with these materials has; `has_colors`: of its vertices.
+fn maps(input: &TextureInput, has_colors: bool) -> Vec<Map> {
+    let TextureInput { materials, images, texels: options, .. } = input;
     const KINDS: [(texture::MapKind, MapKind); 4] = [
         (texture::MapKind::BaseColor, MapKind::BaseColor),
         (texture::MapKind::Orm, MapKind::Orm),
@@ -51,7 +52,13 @@ fn maps(materials: &[Material], images: &[Option<Image>], options: &TexelOptions
         (texture::MapKind::Emissive, MapKind::Emissive),
     ];
     let cut_out = materials.iter().any(|m| m.alpha_cutoff.is_some());
-    let used = KINDS.into_iter().filter(|(kind, _)| kind.is_used_by(materials));
+    let is_used = |kind: texture::MapKind| match kind {
+        // Without a colour anywhere surfaces look as without textures.
+        texture::MapKind::BaseColor => has_colors || !materials.is_empty(),
+        texture::MapKind::Normal if options.normal_space == NormalSpace::Object => true,
+        _ => kind.is_used_by(materials),
+    };
+    let used = KINDS.into_iter().filter(|(kind, _)| is_used(*kind));
     used.map(|(kind, stored)| {
         let hdr = kind.is_hdr(materials, images);
         let tangent = options.normal_space == NormalSpace::Tangent;
@@ -87,7 +94,7 @@ pub(super) fn fill_tiles(
     model: &mut BakedModel,
     progress: &(dyn Fn(f32) + Sync),
 ) {
-    let maps = maps(input.materials, input.images, &input.texels);
+    let maps = maps(input, finished.mesh.has_colors);
     let baker = TileBaker {
         mesh: finished.mesh,
         texturing: finished.mesh.texturing.as_ref().expect("only textured meshes have tiles"),
