@@ -16,6 +16,8 @@ const NORMAL_TEXELS_PER_EDGE: f64 = 1.5;
 const TEXEL_PERCENTILE: f64 = 0.95;
 /// New charts may be this much sparser than their source, where the next larger tile would be four times as many texels.
 const MIN_SCALE: f32 = 0.85;
+/// The same where nothing but normals asks for texels.
+const MIN_NORMAL_SCALE: f32 = 0.7;
 /// Texels of new charts per texel of the source, at most.
 const MAX_OVERSAMPLING: f64 = 2.0;
 /// Tiles of fewer texels than this are made denser than their source, which keeps resampling from blurring them.
@@ -90,7 +92,8 @@ impl Part {
             _ => self.densities(&charts),
         };
         let fit = if matches!(origin, Origin::Source) { Fit::WholeTexels } else { Fit::Free };
-        let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale: MIN_SCALE });
+        let min_scale = if self.only_normals() { MIN_NORMAL_SCALE } else { MIN_SCALE };
+        let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale });
         let (texel, side) = self.texel_sizes(&packed.corners, packed.size);
         ClusterTile {
             size: packed.size,
@@ -98,11 +101,16 @@ impl Part {
             side,
             charts: packed.count,
             fill: packed.fill,
-            reduced: packed.scale < f64::from(MIN_SCALE),
+            reduced: packed.scale < f64::from(min_scale),
             origin,
             corners: packed.corners,
             chart_of: packed.chart_of,
         }
+    }
+
+    /// No colour asks for texels.
+    fn only_normals(&self) -> bool {
+        self.normals && !self.shaded && self.keys.iter().all(|&key| key >= PLAIN)
     }
 
     fn charts(&self, options: &ChartOptions) -> (Charts, Origin) {
@@ -164,6 +172,7 @@ impl Part {
         // Where density varies much, all of it at its highest would be many times the texels of the source.
         let given = given.max(f64::MIN_POSITIVE);
         let scale = match (SMALL_TILE_TEXELS / given).sqrt() {
+            _ if self.only_normals() => 1.0,
             roomy if roomy > 1.0 => roomy.min(MAX_SMALL_SCALE),
             _ => (MAX_OVERSAMPLING * asked / given).sqrt().min(1.0),
         };
