@@ -19,7 +19,7 @@ const MIN_SCALE: f32 = 0.85;
 /// The same where nothing but normals asks for texels.
 const MIN_NORMAL_SCALE: f32 = 0.7;
 /// Texels of new charts per texel of the source, at most.
-const MAX_OVERSAMPLING: f64 = 2.0;
+const MAX_OVERSAMPLING: f64 = 1.25;
 /// Tiles of fewer texels than this are made denser than their source, which keeps resampling from blurring them.
 const SMALL_TILE_TEXELS: f64 = 65_536.0;
 /// By this factor at most.
@@ -35,6 +35,8 @@ pub(super) struct Part {
     texels: Vec<[[f32; 2]; 3]>,
     /// Triangles of different keys have different images.
     keys: Vec<u32>,
+    /// See [`Sizing::scale`](super::charting::Sizing::scale).
+    scale: f64,
     /// Some triangle without an image has corners of different colours.
     shaded: bool,
     /// Every triangle needs texels, for its normals.
@@ -56,6 +58,7 @@ impl Part {
             triangles: members.iter().map(|&t| input.triangles[t as usize].map(local)).collect(),
             texels: Vec::with_capacity(members.len()),
             keys: Vec::with_capacity(members.len()),
+            scale: input.scale,
             shaded: false,
             normals: input.normals,
         };
@@ -88,7 +91,8 @@ impl Part {
     pub fn tile(&self, options: &ChartOptions) -> ClusterTile {
         let (charts, origin) = self.charts(options);
         let densities = match origin {
-            Origin::Source => vec![1.0; charts.count as usize],
+            // Whole texels or halves of them.
+            Origin::Source => vec![self.scale.log2().round().exp2() as f32; charts.count as usize],
             _ => self.densities(&charts),
         };
         let fit = if matches!(origin, Origin::Source) { Fit::WholeTexels } else { Fit::Free };
@@ -176,7 +180,7 @@ impl Part {
             roomy if roomy > 1.0 => roomy.min(MAX_SMALL_SCALE),
             _ => (MAX_OVERSAMPLING * asked / given).sqrt().min(1.0),
         };
-        densities.iter().map(|d| (d * scale).max(1e-9) as f32).collect()
+        densities.iter().map(|d| (d * scale * self.scale).max(1e-9) as f32).collect()
     }
 
     /// Side of most texels on the surface at most, and length of the tile's side on the surface; quanta.

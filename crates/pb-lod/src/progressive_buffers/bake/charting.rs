@@ -14,7 +14,9 @@ use rayon::prelude::*;
 pub const DEFAULT_TILE_SIZE: u32 = 4096;
 
 /// Share of a tile that charts are expected to cover.
-const EXPECTED_FILL: f64 = 0.55;
+const EXPECTED_FILL: f64 = 0.45;
+/// Texels of all tiles per texel of the images, at most: what an image that repeats is unrolled to.
+const MAX_UNROLLING: f64 = 4.0;
 /// Clusters do not get smaller than this for the sake of their tiles.
 const MIN_CLUSTER_TRIANGLES: usize = 256;
 
@@ -119,11 +121,23 @@ pub(super) struct ChartInput<'a> {
     pub images: &'a [Option<Image>],
     /// Tiles hold the normals of the finest level.
     pub normals: bool,
+    /// See [`Sizing::scale`].
+    pub scale: f64,
 }
 
-/// Triangles per cluster, at most `most`, so that the texels of a cluster fill a tile well: a tile has a power of two of
-/// texels per side, and a few more than fit would quadruple it.
-pub(super) fn cluster_size(mesh: &Mesh, textures: &TextureInput, most: usize) -> usize {
+/// How dense a model's tiles are, and how large its clusters.
+#[derive(Clone, Copy)]
+pub(super) struct Sizing {
+    /// Triangles per cluster at most: the texels of a cluster should fill a tile well, which has a power of two of texels
+    /// per side; a few more than fit would quadruple it.
+    pub cluster_triangles: usize,
+    /// Texels of tiles per texel of the source along an axis, at most 1. Less where small images repeat many times over
+    /// the surface.
+    pub scale: f64,
+}
+
+/// Sizes clusters of `most` triangles at most.
+pub(super) fn sizing(mesh: &Mesh, textures: &TextureInput, most: usize) -> Sizing {
     let texturing = mesh.texturing.as_ref().expect("only textured meshes have tiles");
     let texels = |t: usize| {
         let Some((uv, _)) = source_texels(texturing, textures.materials, textures.images, t) else { return 0.0 };
@@ -135,12 +149,15 @@ pub(super) fn cluster_size(mesh: &Mesh, textures: &TextureInput, most: usize) ->
     let block = |from: usize| (from..(from + BLOCK).min(count)).map(texels).filter(|x| x.is_finite()).sum::<f64>();
     let starts: Vec<usize> = (0..count).step_by(BLOCK).collect();
     let per_triangle = starts.into_par_iter().map(block).collect::<Vec<f64>>().iter().sum::<f64>() / count as f64;
+    let images = textures.images.iter().flatten().map(|i| f64::from(i.width()) * f64::from(i.height()));
+    let scale = (MAX_UNROLLING * images.sum::<f64>() / (per_triangle * count as f64)).sqrt().min(1.0);
+    let per_triangle = per_triangle * scale * scale;
     let fitting = |size: u32| (f64::from(size).powi(2) * EXPECTED_FILL / per_triangle) as usize;
     let mut size = textures.charts.tile_size;
     while fitting(size) > most && size > 4 {
         size /= 2;
     }
-    fitting(size).clamp(MIN_CLUSTER_TRIANGLES.min(most), most)
+    Sizing { cluster_triangles: fitting(size).clamp(MIN_CLUSTER_TRIANGLES.min(most), most), scale }
 }
 
 /// Where the corners of a triangle lie on the image that its charts come from, in texels, and its material; `None`

@@ -21,7 +21,7 @@ use super::layout::MAX_LEVELS;
 use super::textures::MAX_SIZE_LOG2;
 use super::write::BakedModel;
 use assemble::{Finished, assemble};
-use charting::{ChartInput, Tiles, cluster_size, make_tiles};
+use charting::{ChartInput, Tiles, make_tiles, sizing};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
@@ -154,16 +154,20 @@ pub fn bake_textured(
     progress(Stage::Segment, 0.0);
     let triangles: Vec<[u32; 3]> =
         (0..mesh.triangles.len()).into_par_iter().map(|t| mesh.corner_positions(t)).collect();
-    let max_triangles = match textures {
-        Some(t) => cluster_size(mesh, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)),
-        None => options.cluster_triangles,
-    };
+    let sizing = textures.map(|t| sizing(mesh, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)));
+    let max_triangles = sizing.map_or(options.cluster_triangles, |s| s.cluster_triangles);
     let clusters = Clusters::new(mesh, &triangles, max_triangles);
     let tiles = textures.map(|t| {
         progress(Stage::Charts, 0.0);
-        let normals = t.texels.normal_space == NormalSpace::Object;
-        let (materials, images) = (t.materials, t.images);
-        let input = ChartInput { mesh, triangles: &triangles, clusters: &clusters, materials, images, normals };
+        let input = ChartInput {
+            mesh,
+            triangles: &triangles,
+            clusters: &clusters,
+            materials: t.materials,
+            images: t.images,
+            normals: t.texels.normal_space == NormalSpace::Object,
+            scale: sizing.map_or(1.0, |s| s.scale),
+        };
         make_tiles(&input, &t.charts, &|x| progress(Stage::Charts, x))
     });
     progress(Stage::Simplify, 0.0);

@@ -38,9 +38,11 @@ pub(super) fn turn_back<K: Ord>(corners: &mut [[[u16; 2]; 3]], vertex_of: impl F
     for _ in 0..ROUNDS {
         for &t in &bad {
             for k in 0..3 {
+                // A triangle that a move has turned over may have vertices that stay where they are.
                 let vertex = vertex_of(t, k);
+                let (Some(list), Some(&home)) = (around.get(&vertex), rounded.get(&vertex)) else { continue };
                 if area2(&corners[t]) < 0 {
-                    nudge(corners, &around[&vertex], rounded[&vertex]);
+                    nudge(corners, list, home);
                 }
             }
         }

@@ -116,7 +116,7 @@ fn verdicts_name_the_reason() {
     assert!(usable(&scattered).unwrap_err().starts_with("fragmented: "));
     let long = changed(&|_, p| [10.0 * p[0], p[1]]);
     assert!(usable(&long).unwrap_err().starts_with("stretched: "));
-    let uneven = changed(&|_, p| [(p[0] / 8.0).exp(), p[1] * (p[1] / 16.0).exp()]);
+    let uneven = changed(&|_, p| [(p[0] / 5.0).exp(), p[1] * (p[1] / 10.0).exp()]);
     assert!(usable(&uneven).unwrap_err().starts_with("uneven: "));
     let tiled = changed(&|_, p| [p[0] + 1000.0, p[1] - 640.0]);
     assert_eq!(usable(&tiled), Ok(()));
