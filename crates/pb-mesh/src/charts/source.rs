@@ -17,7 +17,7 @@ pub const FEW_EXTRA_CHARTS: u64 = 48;
 /// Fewer triangles than this per extra chart are fragments: seams would keep the surface from getting simple.
 pub const MIN_TRIANGLES_PER_EXTRA_CHART: u64 = 400;
 /// Texels per length may vary by this factor (geometric standard deviation over the area).
-pub const MAX_DENSITY_SPREAD: f64 = 16.0;
+pub const MAX_DENSITY_SPREAD: f64 = 8.0;
 /// Texels may be this much longer than wide on the surface (geometric mean over the area).
 pub const MAX_ANISOTROPY: f64 = 4.0;
 /// Part of the covered texels that a chart may cover twice itself.
