@@ -14,7 +14,11 @@ use rayon::prelude::*;
 pub const DEFAULT_TILE_SIZE: u32 = 4096;
 
 /// Share of a tile that charts are expected to cover.
-const EXPECTED_FILL: f64 = 0.45;
+const EXPECTED_FILL: f64 = 0.55;
+/// How much better a tile must be filled for smaller clusters.
+const WORTH_HALVING: f64 = 1.5;
+/// Halves differ a little in size.
+const SEGMENT_SLACK: f64 = 1.02;
 /// Texels of all tiles per texel of the images, at most: what an image that repeats is unrolled to.
 const MAX_UNROLLING: f64 = 4.0;
 /// Clusters do not get smaller than this for the sake of their tiles.
@@ -152,12 +156,22 @@ pub(super) fn sizing(mesh: &Mesh, textures: &TextureInput, most: usize) -> Sizin
     let images = textures.images.iter().flatten().map(|i| f64::from(i.width()) * f64::from(i.height()));
     let scale = (MAX_UNROLLING * images.sum::<f64>() / (per_triangle * count as f64)).sqrt().min(1.0);
     let per_triangle = per_triangle * scale * scale;
-    let fitting = |size: u32| (f64::from(size).powi(2) * EXPECTED_FILL / per_triangle) as usize;
-    let mut size = textures.charts.tile_size;
-    while fitting(size) > most && size > 4 {
-        size /= 2;
-    }
-    Sizing { cluster_triangles: fitting(size).clamp(MIN_CLUSTER_TRIANGLES.min(most), most), scale }
+    let sizing = |cluster_triangles| Sizing { cluster_triangles, scale };
+    // The segmentation halves: clusters have about so many triangles.
+    let halved = |times: u32| (count as f64 / 2f64.powi(times as i32)).ceil();
+    let first = (0..32).find(|&k| halved(k) <= most as f64).expect("2^31 triangles at most");
+    // The share of the smallest tile that holds a cluster; above the widest tile's for clusters that are too large.
+    let fill = |triangles: f64| {
+        let texels = triangles * per_triangle;
+        let size = (texels / EXPECTED_FILL).sqrt().log2().ceil().exp2();
+        texels / size.clamp(4.0, textures.charts.tile_size.into()).powi(2)
+    };
+    let fits = |k: &u32| fill(halved(*k)) <= EXPECTED_FILL;
+    let start = (first..32).find(|k| fits(k) || halved(*k) <= MIN_CLUSTER_TRIANGLES as f64).unwrap_or(first);
+    // Half the size again only where that fills tiles much better.
+    let best = if fill(halved(start + 1)) > WORTH_HALVING * fill(halved(start)) { start + 1 } else { start };
+    let wanted = halved(best) * SEGMENT_SLACK;
+    sizing((wanted as usize).clamp(MIN_CLUSTER_TRIANGLES.min(most), most))
 }
 
 /// Where the corners of a triangle lie on the image that its charts come from, in texels, and its material; `None`
