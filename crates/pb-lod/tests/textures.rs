@@ -224,6 +224,35 @@ fn no_triangle_is_turned_over_in_its_texture_coordinates_at_any_level() {
 }
 
 #[test]
+fn thousands_of_islands_get_new_charts_and_coarse_levels_and_keep_their_colours() {
+    // 2,304 islands on 18,432 triangles; with the source's seams hardly a vertex could go.
+    let across = 48;
+    let shade = |u: f32, v: f32| [(u * 255.0) as u8, (v * 255.0) as u8, 0];
+    let (model, report) = baked(islands(hills(96), across, 0.05), image(1024, shade), ChartMode::Best, 16_384);
+    let charts = report.charts.expect("textured");
+    assert_eq!((charts.source_clusters, charts.reasons[0].0.as_str()), (0, "fragmented"));
+    let summary = verify(&model).unwrap_or_else(|b| panic!("{}", b[0]));
+    assert!(summary.triangles[4] < summary.triangles[0] / 100, "{:?}", summary.triangles);
+    let mut random = Random(5);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for cluster in 0..model.record().clusters {
+        let tile = Tile::read(&model, cluster);
+        for t in tile.indices[0].chunks_exact(3) {
+            let corners = [0, 1, 2].map(|k| tile.vertices[t[k] as usize]);
+            let w = weights(&mut random);
+            let uv = [0, 1].map(|k| (0..3).map(|i| w[i] * f32::from(corners[i].uv()[k])).sum::<f32>());
+            let places = (0..3).map(|i| model.world(model.grid(cluster, &corners[i])) * f64::from(w[i]));
+            let place = places.reduce(|a, b| a + b).expect("three");
+            let found = tile.sample(0, uv);
+            sum += (0..2).map(|k| (f64::from(found[k]) - place[k] * 255.0).abs()).fold(0.0, f64::max);
+            count += 1.0;
+        }
+    }
+    // An island's margin shifts its colours by up to 0.05 / 48 of the image; 8-bit steps come on top.
+    assert!(sum / count < 1.0, "mean {:.2} of 255", sum / count);
+}
+
+#[test]
 fn colours_stay_where_they_belong_on_the_surface_at_every_level() {
     // Colour is a smooth function of the place on the ground, so every level can be asked for it.
     // The image has a margin, because it repeats beyond its border.

@@ -7,3 +7,4 @@ mod mistakes;
 mod pops;
 mod reference;
 mod support;
+mod textured;
