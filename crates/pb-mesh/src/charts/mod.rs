@@ -58,3 +58,10 @@ pub(crate) fn signed_area2(uv: &[[f32; 2]; 3]) -> f64 {
     let [a, b, c] = uv.map(|p| p.map(f64::from));
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
+
+/// Twice the signed area of a triangle in its tile, in squares of 1 / 65536 of the side, exact; positive where u towards v
+/// turns as in the list.
+pub fn tile_area2(corners: [[u16; 2]; 3]) -> i64 {
+    let [a, b, c] = corners.map(|p| p.map(i64::from));
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}

@@ -8,6 +8,7 @@ use super::corner_lists::{CornerLists, NONE};
 use super::fan::Spoke;
 use super::slide::UvWitness;
 use super::stretch::{UvQuadric, offset, sum};
+use crate::charts::tile_area2;
 use glam::{Vec2, Vec3};
 
 /// Units of texture coordinates per tile.
@@ -34,7 +35,7 @@ impl UvInput<'_> {
 
     /// Twice the area of a triangle of wedges in its tile, exact.
     pub fn area(&self, wedges: [u32; 3]) -> i64 {
-        area(wedges.map(|w| self.uv[w as usize].map(i32::from)))
+        tile_area2(wedges.map(|w| self.uv[w as usize]))
     }
 }
 

@@ -5,8 +5,9 @@ use super::coverage::{Coverage, NONE, TileLayout};
 use super::image::Image;
 use super::mips::{Mips, coarser};
 use super::normal::{Derivatives, in_tile, perturbed};
-use super::raster::{Grid, double_area};
+use super::raster::Grid;
 use super::sample::{Footprint, Light, Rim, Sampler};
+use crate::charts::tile_area2;
 use crate::material::{Material, Slot, TextureRef};
 use glam::{DMat2, DVec2, DVec3, Vec3, Vec4};
 
@@ -210,7 +211,7 @@ impl<'a> Baker<'a> {
             let unit = f64::from(self.layout.size) / 65536.0;
             let at = |k: usize| DVec2::new(f64::from(corners[k][0]), f64::from(corners[k][1])) * unit;
             let ends = [at(usize::from(edge)), at((usize::from(edge) + 1) % 3)];
-            if double_area(corners) < 0 { [ends[1], ends[0]] } else { ends }
+            if tile_area2(corners) < 0 { [ends[1], ends[0]] } else { ends }
         }));
     }
 
@@ -272,7 +273,7 @@ struct Shape {
 impl Shape {
     fn new(corners: [[u16; 2]; 3], size: u32) -> Shape {
         let unit = f64::from(size) / 65536.0;
-        let area = double_area(corners) as f64 * unit * unit;
+        let area = tile_area2(corners) as f64 * unit * unit;
         let corners = corners.map(|c| DVec2::new(f64::from(c[0]), f64::from(c[1])) * unit);
         let longest = (0..3).map(|k| corners[k].distance(corners[(k + 1) % 3])).fold(0.0, f64::max);
         let tolerance = if area == 0.0 { f64::INFINITY } else { unit * longest / area.abs() };

@@ -4,7 +4,8 @@
 //! So a texel belongs to the chart that is nearest in that norm, if one is that near; the others are copies of the
 //! nearest such texel. Every mip is asked anew, of the integer corners.
 
-use super::raster::{Grid, double_area};
+use super::raster::Grid;
+use crate::charts::tile_area2;
 use std::collections::HashMap;
 
 /// Smallest side of a tile and of a mip, texels: one compressed block.
@@ -143,7 +144,7 @@ fn chart_borders(layout: &TileLayout) -> Vec<Edge> {
     let mut uses: HashMap<_, u32> = HashMap::with_capacity(all.len());
     all.iter().for_each(|&e| *uses.entry(key(e)).or_default() += 1);
     // flat triangles may fold onto their neighbours' edges, so their edges always count
-    all.into_iter().filter(|&e| uses[&key(e)] == 1 || double_area(layout.corners[e.0 as usize]) == 0).collect()
+    all.into_iter().filter(|&e| uses[&key(e)] == 1 || tile_area2(layout.corners[e.0 as usize]) == 0).collect()
 }
 
 fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<BorderTexel>) {
@@ -177,7 +178,7 @@ fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<Bo
 
 fn rims(layout: &TileLayout, edges: &[Edge], owner: &[u32]) -> Vec<(u32, Edge)> {
     let open = |(t, k): Edge| layout.open_edges.get(t as usize).is_some_and(|open| open & (1 << k) != 0);
-    let flat = |(t, _): Edge| double_area(layout.corners[t as usize]) == 0;
+    let flat = |(t, _): Edge| tile_area2(layout.corners[t as usize]) == 0;
     let closed: Vec<Edge> = edges.iter().copied().filter(|&e| !open(e) && !flat(e)).collect();
     let mut rims = Vec::new();
     for_each_near(layout, Grid { size: layout.size }, CARE, &closed, |texel, _, edge| {

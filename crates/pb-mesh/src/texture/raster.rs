@@ -3,6 +3,8 @@
 //! Coordinates are units of 1 / 65536 of the tile. A grid of `size` texels has the centre of texel k at
 //! `(2 k + 1) 32768 / size`, an integer.
 
+use crate::charts::tile_area2;
+
 /// A grid of square texels over a tile.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Grid {
@@ -36,7 +38,7 @@ impl Grid {
         let (low, high) = (ys[0].min(ys[1]).min(ys[2]), ys[0].max(ys[1]).max(ys[2]));
         let xs = c.map(|p| p[0]);
         let full = (xs[0].min(xs[1]).min(xs[2]), xs[0].max(xs[1]).max(xs[2]));
-        if double_area(corners) == 0 {
+        if tile_area2(corners) == 0 {
             return;
         }
         for y in self.columns(low, high) {
@@ -79,14 +81,8 @@ impl Grid {
     }
 }
 
-/// Twice the signed area in square units; positive where u towards v turns as in the list.
-pub(super) fn double_area(c: [[u16; 2]; 3]) -> i64 {
-    let c = c.map(|p| p.map(i64::from));
-    (c[1][0] - c[0][0]) * (c[2][1] - c[0][1]) - (c[1][1] - c[0][1]) * (c[2][0] - c[0][0])
-}
-
 fn oriented(c: [[u16; 2]; 3]) -> [[i64; 2]; 3] {
-    let order = if double_area(c) < 0 { [c[0], c[2], c[1]] } else { c };
+    let order = if tile_area2(c) < 0 { [c[0], c[2], c[1]] } else { c };
     order.map(|p| p.map(i64::from))
 }
 

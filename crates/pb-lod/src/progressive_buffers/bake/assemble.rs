@@ -1,14 +1,14 @@
 //! The last step of a bake: clusters in the order of the hierarchy, their buffers, and all tables.
 
-use super::Clusters;
 use super::buffers::{self, Coordinates, Place, Source};
 use super::charting::Tiles;
 use super::grid::Grid;
 use super::levels::LevelErrors;
+use super::{Clusters, for_clusters};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
 use crate::progressive_buffers::model::FLAG_COLORS;
-use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
+use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
 use pb_mesh::mesh::Mesh;
 use pb_mesh::simplify::Collapses;
@@ -52,27 +52,22 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
         uv: input.tiles.map(|t| Coordinates { corners: &t.corners, uv: &t.uv }),
         levels,
     };
-    let done = std::sync::atomic::AtomicUsize::new(0);
-    let built: Vec<(Vec<LevelRecord>, Vec<EncodedChunk>)> = (0..count)
-        .into_par_iter()
-        .map(|new| {
-            let old = hierarchy.order[new] as usize;
-            let list = &neighbours[firsts[new] as usize..firsts[new + 1] as usize];
-            let slot_of = |v: u32| {
-                let other = clusters.pair_of(v).into_iter().find(|&c| c as usize != old).expect("two clusters");
-                list.binary_search(&new_of[other as usize]).expect("border clusters are neighbours") as u8 + 1
-            };
-            let place = Place {
-                triangles: clusters.segmentation.cluster(old),
-                origin: bounds[old].low.to_array(),
-                shift: grid.shifts[old],
-                slot_of: &slot_of,
-            };
-            let result = buffers::build(&source, &place);
-            progress((done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1) as f32 / count as f32);
-            result
-        })
-        .collect();
+    let build = |new: usize| {
+        let old = hierarchy.order[new] as usize;
+        let list = &neighbours[firsts[new] as usize..firsts[new + 1] as usize];
+        let slot_of = |v: u32| {
+            let other = clusters.pair_of(v).into_iter().find(|&c| c as usize != old).expect("two clusters");
+            list.binary_search(&new_of[other as usize]).expect("border clusters are neighbours") as u8 + 1
+        };
+        let place = Place {
+            triangles: clusters.segmentation.cluster(old),
+            origin: bounds[old].low.to_array(),
+            shift: grid.shifts[old],
+            slot_of: &slot_of,
+        };
+        buffers::build(&source, &place)
+    };
+    let built = for_clusters(count, progress, build);
     let (mut level_records, mut chunks) = (Vec::with_capacity(count * levels), Vec::with_capacity(count * levels));
     for (new, (mut records, packed)) in built.into_iter().enumerate() {
         for (level, r) in records.iter_mut().enumerate() {

@@ -2,7 +2,7 @@
 //! (docs/decisions/007-textures.md). What comes out is integers; simplification and drawing use the very same.
 
 use super::chart_part::Part;
-use super::{Clusters, TextureInput};
+use super::{Clusters, TextureInput, for_clusters};
 use pb_mesh::charts::{Charts, ClusterSurface};
 use pb_mesh::material::{Material, Slot, TextureRef};
 use pb_mesh::mesh::{Mesh, Texturing};
@@ -198,17 +198,9 @@ fn chart_texture(material: &Material) -> Option<&TextureRef> {
 
 /// Charts and packs all clusters.
 pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, progress: &(dyn Fn(f32) + Sync)) -> Tiles {
-    let count = input.clusters.segmentation.len();
-    let done = std::sync::atomic::AtomicUsize::new(0);
     let texturing = input.mesh.texturing.as_ref().expect("only textured meshes have tiles");
-    let tiles: Vec<ClusterTile> = (0..count)
-        .into_par_iter()
-        .map(|c| {
-            let tile = Part::new(input, texturing, c).tile(options);
-            progress((done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1) as f32 / count as f32);
-            tile
-        })
-        .collect();
+    let count = input.clusters.segmentation.len();
+    let tiles = for_clusters(count, progress, |c| Part::new(input, texturing, c).tile(options));
     number(input, tiles)
 }
 

@@ -34,6 +34,7 @@ use pb_mesh::texture::NormalSpace;
 use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use tiles::fill_tiles;
 
 /// Most neighbours that border slots can name.
@@ -227,6 +228,21 @@ fn check(mesh: &Mesh, textures: Option<&TextureInput>, options: &BakeOptions) ->
     }
     assert!(!mesh.triangles.is_empty(), "repair refuses meshes without triangles");
     Ok(())
+}
+
+/// Runs `job` for every cluster, in parallel; the answers are in the order of the clusters. `progress` gets the share done.
+fn for_clusters<T: Send>(
+    count: usize,
+    progress: &(dyn Fn(f32) + Sync),
+    job: impl Fn(usize) -> T + Sync + Send,
+) -> Vec<T> {
+    let done = AtomicUsize::new(0);
+    let counted = |c: usize| {
+        let result = job(c);
+        progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / count as f32);
+        result
+    };
+    (0..count).into_par_iter().map(counted).collect()
 }
 
 /// Mean normal of each position's wedges.

@@ -2,7 +2,7 @@
 
 use super::assemble::Finished;
 use super::charting::Tiles;
-use super::{Clusters, TextureInput};
+use super::{Clusters, TextureInput, for_clusters};
 use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
 use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
@@ -13,8 +13,6 @@ use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
     encode_shown,
 };
-use rayon::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How texels are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,15 +104,7 @@ pub(super) fn fill_tiles(
         materials: input.materials.iter().cloned().chain([Material::default()]).collect(),
         levels: finished.levels as u32,
     };
-    let done = AtomicUsize::new(0);
-    let baked: Vec<(TileRecord, Vec<EncodedChunk>)> = order
-        .par_iter()
-        .map(|&c| {
-            let tile = baker.bake(c as usize);
-            progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / order.len() as f32);
-            tile
-        })
-        .collect();
+    let baked = for_clusters(order.len(), progress, |new| baker.bake(order[new] as usize));
     for (tile, chunks) in baked {
         model.tiles.push(tile);
         model.chunks.extend(chunks);

@@ -41,6 +41,12 @@ pub(super) enum Ladder {
 /// Off the centre of a picture pixels cover smaller angles, so texels have to be smaller than a pixel at its centre.
 const TEXELS_PER_PIXEL: f32 = 1.4;
 
+/// Largest texels, input units, that are fine enough at a reach: as small as the pixels, or as the allowed error where
+/// that is larger.
+fn allowed_texel(switch: &Switch, reach: f32) -> f32 {
+    reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL
+}
+
 /// A sphere in world units, relative to the model's origin.
 #[derive(Clone, Copy)]
 pub(super) struct Sphere {
@@ -277,8 +283,7 @@ impl Tables {
         if switch.bands.is_some() {
             return self.lod(switch, cluster, reach).clamp(finest as f32, tail as f32);
         }
-        let allowed = reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL;
-        (allowed / texel).log2().clamp(finest as f32, tail as f32)
+        (allowed_texel(switch, reach) / texel).log2().clamp(finest as f32, tail as f32)
     }
 
     /// The level of detail of either kind.
@@ -294,7 +299,7 @@ impl Tables {
         match &switch.bands {
             _ if node.texel == 0.0 => true,
             Some(bands) => reach >= bands[self.levels as usize - 1],
-            None => reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL >= node.texel,
+            None => allowed_texel(switch, reach) >= node.texel,
         }
     }
 }

@@ -4,6 +4,7 @@ use super::shared::{Shared, clusters};
 use super::{Breach, Promise, distance, position};
 use crate::progressive_buffers::layout::Vertex;
 use crate::progressive_buffers::model::{Model, ModelError};
+use pb_mesh::charts::tile_area2;
 
 /// All levels of one cluster.
 pub(super) struct Decoded {
@@ -149,12 +150,6 @@ fn places(model: &Model, cluster: u32, decoded: &Decoded, shared: &Shared, breac
     places
 }
 
-/// Twice the area of a triangle in its tile, units of 1 / 65536 of the side, exact.
-fn uv_area(decoded: &Decoded, t: &[u16]) -> i64 {
-    let [a, b, c] = [0, 1, 2].map(|k| decoded.vertices[t[k] as usize].uv().map(i64::from));
-    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-}
-
 fn check_level(
     model: &Model,
     (cluster, level): (u32, u32),
@@ -175,7 +170,7 @@ fn check_level(
                 what: format!("two of its corners {t:?} have one position"),
             });
         }
-        if model.textures().is_some() && uv_area(decoded, t) < 0 {
+        if model.textures().is_some() && tile_area2([t[0], t[1], t[2]].map(|i| decoded.vertices[i as usize].uv())) < 0 {
             breaches.push(Breach {
                 promise: Promise::I6,
                 place: format!("cluster {cluster} level {level} triangle {number}"),

@@ -157,7 +157,7 @@ fn snapped(charts: &Charts, mut packed: Packed) -> Packed {
         packed.count += 1;
         packed.snapped_alone += 1;
     }
-    let area2: i64 = packed.corners.iter().map(snap::area2).sum();
+    let area2: i64 = packed.corners.iter().map(|&c| super::tile_area2(c)).sum();
     packed.fill = area2 as f64 * 0.5 / (65_536.0 * 65_536.0);
     packed
 }

@@ -1,5 +1,6 @@
 //! Rounding to integers of 1 / 65536 of the tile without turning a triangle over.
 
+use crate::charts::tile_area2;
 use std::collections::BTreeMap;
 
 /// Rounds of moving corners of triangles that are turned over.
@@ -7,17 +8,12 @@ const ROUNDS: usize = 4;
 /// How far from where it was rounded to a corner may be moved, in integers.
 const REACH: i32 = 2;
 
-/// Twice the signed area.
-pub(super) fn area2(c: &[[u16; 2]; 3]) -> i64 {
-    let [a, b, c] = c.map(|p| p.map(i64::from));
-    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-}
-
 /// Moves corners of turned triangles by as little as it takes. `vertex_of`: which vertex a corner is, before rounding.
 /// Returns the triangles that are still turned, which got the coordinates of their first corner.
 pub(super) fn turn_back<K: Ord>(corners: &mut [[[u16; 2]; 3]], vertex_of: impl Fn(usize, usize) -> K) -> Vec<u32> {
-    let turned =
-        |corners: &[[[u16; 2]; 3]]| -> Vec<usize> { (0..corners.len()).filter(|&t| area2(&corners[t]) < 0).collect() };
+    let turned = |corners: &[[[u16; 2]; 3]]| -> Vec<usize> {
+        (0..corners.len()).filter(|&t| tile_area2(corners[t]) < 0).collect()
+    };
     let mut bad = turned(corners);
     if bad.is_empty() {
         return Vec::new();
@@ -41,7 +37,7 @@ pub(super) fn turn_back<K: Ord>(corners: &mut [[[u16; 2]; 3]], vertex_of: impl F
                 // A triangle that a move has turned over may have vertices that stay where they are.
                 let vertex = vertex_of(t, k);
                 let (Some(list), Some(&home)) = (around.get(&vertex), rounded.get(&vertex)) else { continue };
-                if area2(&corners[t]) < 0 {
+                if tile_area2(corners[t]) < 0 {
                     nudge(corners, list, home);
                 }
             }
@@ -62,7 +58,7 @@ fn nudge(corners: &mut [[[u16; 2]; 3]], around: &[(u32, u8)], rounded: [u16; 2])
         let turned = around.iter().map(|&(t, k)| {
             let mut c = corners[t as usize];
             c[k as usize] = at;
-            area2(&c).min(0)
+            tile_area2(c).min(0)
         });
         turned.sum()
     };
@@ -87,9 +83,9 @@ mod tests {
         let place = [[0u16, 0], [10, 0], [10, 10], [9, 5]];
         let triangles = [[0usize, 1, 2], [1, 3, 2]];
         let mut corners = triangles.map(|t| t.map(|v| place[v])).to_vec();
-        assert!(area2(&corners[1]) < 0);
+        assert!(tile_area2(corners[1]) < 0);
         assert_eq!(turn_back(&mut corners, |t, k| triangles[t][k]), Vec::<u32>::new());
-        assert!(corners.iter().all(|c| area2(c) >= 0));
+        assert!(corners.iter().all(|c| tile_area2(*c) >= 0));
         assert_eq!(corners[0][1], corners[1][0]);
     }
 
