@@ -77,6 +77,11 @@ impl Gpu {
         })
     }
 
+    /// True where the adapter is a program on the CPU (Mesa's lavapipe, WARP).
+    pub fn software(&self) -> bool {
+        self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
     /// Largest buffer that a shader can see whole, bytes.
     pub fn largest_storage_bytes(&self) -> u64 {
         let limits = self.device.limits();

@@ -2,7 +2,7 @@
 
 use clap::{Parser, ValueEnum};
 use pb_lod::plan::Detail;
-use pb_render::{ColorMode, Samples, Style};
+use pb_render::{ColorMode, Gpu, Samples, Style};
 use std::path::PathBuf;
 
 use crate::picture::Format;
@@ -97,6 +97,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub anisotropy: u32,
 
+    /// How textures lie in video memory.
+    #[arg(long, value_enum, default_value_t = Textures::Auto)]
+    pub textures: Textures,
+
     /// Draw triangles as lines.
     #[arg(long)]
     pub wireframe: bool,
@@ -121,14 +125,32 @@ pub struct Args {
     #[arg(long, hide = true, value_name = "N", default_value_t = 0)]
     pub late_frames: u32,
 
-    /// Decode textures before they are uploaded even where the adapter reads compressed ones (software adapters are
-    /// many times faster so, and fill four times the memory).
-    #[arg(long, hide = true)]
-    pub decode_textures: bool,
-
     /// One draw call per cluster even where the adapter takes many in one.
     #[arg(long, hide = true)]
     pub plain_draws: bool,
+}
+
+/// How textures lie in video memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Textures {
+    /// Compressed where the graphics adapter reads that and is no software.
+    Auto,
+    /// Compressed where the graphics adapter reads that; slow in software.
+    Blocks,
+    /// Decoded: four times the memory, and fast in software too.
+    Decoded,
+}
+
+impl Textures {
+    /// Whether textures stay compressed on this adapter.
+    pub fn blocks(self, gpu: &Gpu) -> bool {
+        gpu.texture_blocks
+            && match self {
+                Textures::Auto => !gpu.software(),
+                Textures::Blocks => true,
+                Textures::Decoded => false,
+            }
+    }
 }
 
 /// What surfaces are coloured by.

@@ -4,6 +4,7 @@
 
 use anyhow::{Context, Result, bail};
 use pb_render::{Gpu, Offscreen, PictureFormat};
+use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::time::Instant;
 
@@ -31,7 +32,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))?;
     }
     let mut gpu = Gpu::headless()?;
-    gpu.texture_blocks &= !args.decode_textures;
+    gpu.texture_blocks = args.textures.blocks(&gpu);
     if args.wireframe && !gpu.wireframe {
         eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
     }
@@ -51,7 +52,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         stats.finish()?;
     }
     let damaged = stage.damaged_chunks();
-    total.print(args, damaged);
+    total.print(args, damaged)?;
     Ok(if damaged == 0 { Outcome::Done } else { Outcome::Damaged })
 }
 
@@ -121,9 +122,9 @@ impl Total {
         self.ram_bytes = self.ram_bytes.max(stats.ram_bytes);
     }
 
-    fn print(&self, args: &Args, damaged: u32) {
-        println!(
-            "{} frames, {:.1} ms and {} triangles each on average; at most {} of VRAM and {} of RAM",
+    fn print(&self, args: &Args, damaged: u32) -> Result<()> {
+        let mut text = format!(
+            "{} frames, {:.1} ms and {} triangles each on average; at most {} of VRAM and {} of RAM\n",
             self.frames,
             self.ms / self.frames as f64,
             self.triangles / self.frames as u64,
@@ -132,13 +133,19 @@ impl Total {
         );
         for (what, path) in [("frames", &args.frames), ("statistics", &args.stats)] {
             if let Some(path) = path {
-                println!("{what}: {}", path.display());
+                text += &format!("{what}: {}\n", path.display());
             }
+        }
+        // Whoever reads may have gone (`| head`); that is no failure.
+        match std::io::stdout().lock().write_all(text.as_bytes()) {
+            Err(e) if e.kind() != ErrorKind::BrokenPipe => return Err(e).context("standard output"),
+            _ => {}
         }
         if damaged > 0 {
             eprintln!(
                 "pb-view: {damaged} damaged chunks were left out; the picture is coarser there. Bake the archive again"
             );
         }
+        Ok(())
     }
 }

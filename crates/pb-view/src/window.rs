@@ -137,7 +137,7 @@ impl Shown {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let surface = instance.create_surface(window.clone()).context("the window cannot be drawn to")?;
         let mut gpu = Gpu::open(instance, Some(&surface))?;
-        gpu.texture_blocks &= !args.decode_textures;
+        gpu.texture_blocks = args.textures.blocks(&gpu);
         let screen = Screen::new(&gpu, surface, window.inner_size().into(), args.samples)?;
         let subject = subject(model.record(), args.up.vector());
         let stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;

@@ -21,6 +21,19 @@ fn flight(folder: &Path, center: [f64; 3]) -> PathBuf {
     path
 }
 
+#[test]
+fn nobody_has_to_read_the_summary() {
+    let Some(_) = adapter("a closed standard output") else { return };
+    let path = flight(&folder("closed_output"), [0.0; 3]);
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_pb-view"));
+    command.arg(small_torus()).args(["--headless", "--size", "32x32", "--flypath"]).arg(path);
+    command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    drop(child.stdout.take());
+    let run = child.wait_with_output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
 fn pixels_apart(a: &image::RgbImage, b: &image::RgbImage, by: u8) -> usize {
     let apart = |(a, b): (&image::Rgb<u8>, &image::Rgb<u8>)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > by);
     a.pixels().zip(b.pixels()).filter(|pair| apart(*pair)).count()
