@@ -24,6 +24,10 @@ bench-levels *MESHES:
 bench-textures *MODELS:
     tools/bench-textures {{MODELS}}
 
+# slow flights onto textured scans: changes between frames beside those of a renderer of the source
+bench-pops *MODELS:
+    tools/bench-pops {{MODELS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

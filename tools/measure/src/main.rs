@@ -107,6 +107,8 @@ enum Measurement {
     Compare(compare::Arguments),
     /// Changes between neighbouring frames of two flights along one path, the second drawn by the reference.
     Pops(pops::Arguments),
+    /// The heading of the table that `pops --row` continues.
+    PopsHeading,
     /// pb-bake and pb-view beside the reference on one textured model, near, close and far.
     Textures(textures::Arguments),
     /// The heading of the table that `textures --markdown` continues.
@@ -172,7 +174,8 @@ fn run(command: Measurement) -> Result<bool> {
         Measurement::Reference(arguments) => println!("{:#}", reference::run(&arguments)?),
         Measurement::Flypath(arguments) => println!("{:#}", flights::run(&arguments)?),
         Measurement::Compare(arguments) => println!("{:#}", compare::run(&arguments)?),
-        Measurement::Pops(arguments) => println!("{:#}", pops::run(&arguments)?),
+        Measurement::Pops(arguments) => println!("{}", pops::run(&arguments)?),
+        Measurement::PopsHeading => println!("{}", pops::HEADING),
         Measurement::Textures(arguments) => textures::run(&arguments)?,
         Measurement::TexturesHeading => println!("{}", textures::HEADING),
         Measurement::Textured(arguments) => println!("{:#}", textured::run(&arguments)?),

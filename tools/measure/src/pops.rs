@@ -2,7 +2,7 @@
 //! pixel changes much at once, and the reference does not.
 
 use anyhow::{Context, Result, ensure};
-use image::RgbImage;
+use image::{GrayImage, RgbImage};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,15 @@ pub struct Arguments {
     a: PathBuf,
     /// The same flight drawn by the reference.
     b: PathBuf,
+    /// Print a row of the table in docs/performance.md, under this name.
+    #[arg(long)]
+    row: Option<String>,
 }
+
+/// Heading of the rows.
+pub const HEADING: &str = "\
+| flight | frames | largest change | of the reference | ratio | mean change | of the reference | 99.99 % inside | largest inside |
+|---|---|---|---|---|---|---|---|---|";
 
 /// Changes of pixels by how large they are.
 struct Changes([u64; 256]);
@@ -69,12 +77,45 @@ fn around(changes: &[u8], width: usize) -> Vec<u8> {
     (0..changes.len()).map(|i| largest(i % width, i / width)).collect()
 }
 
-/// Figures of both flights; `excess` is by how much a pixel of `a` changes more than any of `b` within a pixel of it.
-pub fn run(arguments: &Arguments) -> Result<Value> {
+/// Pixels that the model covers fully, like all within two pixels of them: no silhouette is near.
+fn inside(coverage: &GrayImage) -> Vec<bool> {
+    let (width, height) = coverage.dimensions();
+    let full = |x: u32, y: u32| {
+        let rows = y.saturating_sub(2)..=(y + 2).min(height - 1);
+        let mut around = rows.flat_map(|r| (x.saturating_sub(2)..=(x + 2).min(width - 1)).map(move |c| (c, r)));
+        around.all(|(c, r)| coverage.get_pixel(c, r).0[0] == 255)
+    };
+    (0..width * height).map(|i| full(i % width, i / width)).collect()
+}
+
+/// Prints what [`judge`] finds as JSON, or as a row.
+pub fn run(arguments: &Arguments) -> Result<String> {
+    let found = judge(arguments)?;
+    let Some(name) = &arguments.row else { return Ok(format!("{found:#}")) };
+    let (a, b, inside) = (&found["a"], &found["b"], &found["excess_inside"]);
+    let number = |v: &Value| v.as_f64().unwrap_or(0.0);
+    Ok(format!(
+        "| {name} | {} | {} | {} | {:.2} | {:.3} | {:.3} | {} | {} |",
+        found["frames"],
+        a["largest"],
+        b["largest"],
+        number(&found["ratio_of_largest"]),
+        number(&a["mean"]),
+        number(&b["mean"]),
+        inside["p9999"],
+        inside["largest"]
+    ))
+}
+
+/// Figures of both flights; `excess` is by how much a pixel of `a` changes more than any of `b` within a pixel of it,
+/// `excess_inside` the same where no silhouette is near (where the reference wrote its coverage).
+pub fn judge(arguments: &Arguments) -> Result<Value> {
     let names = frames_of(&arguments.a)?;
     ensure!(names.len() >= 2, "{}: two frames are needed at least", arguments.a.display());
     let mut last = [open(&arguments.a, &names[0])?, open(&arguments.b, &names[0])?];
     let mut all = [Changes::none(), Changes::none(), Changes::none()];
+    let mut far_inside = Changes::none();
+    let mut was_inside = Vec::new();
     let mut steps: Vec<(usize, usize)> = Vec::new();
     for (i, name) in names.iter().enumerate().skip(1) {
         let next = [open(&arguments.a, name)?, open(&arguments.b, name)?];
@@ -89,6 +130,13 @@ pub fn run(arguments: &Arguments) -> Result<Value> {
         for (sums, changes) in all.iter_mut().zip([&a, &b, &excess]) {
             changes.iter().for_each(|c| sums.add(*c));
         }
+        let coverage = arguments.b.join("coverage").join(name);
+        if coverage.is_file() {
+            let now = inside(&image::open(&coverage).with_context(|| coverage.display().to_string())?.to_luma8());
+            let both = now.iter().zip(&was_inside).zip(&excess);
+            both.filter(|((now, before), _)| **now && **before).for_each(|(_, e)| far_inside.add(*e));
+            was_inside = now;
+        }
         steps.push((excess.iter().copied().max().unwrap_or(0).into(), i));
         last = next;
     }
@@ -98,7 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<Value> {
         steps.iter().take(WORST).map(|(e, i)| json!({ "frame": names[*i].to_string_lossy(), "excess": e })).collect();
     Ok(json!({
         "frames": names.len(), "a": all[0].json(), "b": all[1].json(), "excess": all[2].json(),
-        "ratio_of_largest": ratio, "worst": worst,
+        "excess_inside": far_inside.json(), "ratio_of_largest": ratio, "worst": worst,
     }))
 }
 
@@ -125,11 +173,22 @@ mod tests {
             }
             smooth.save(a.join(format!("frame_0000{i}.png"))).unwrap();
         }
-        let found = run(&Arguments { a: a.clone(), b: b.clone() }).unwrap();
+        let found = judge(&Arguments { a: a.clone(), b: b.clone(), row: None }).unwrap();
         assert_eq!((&found["a"]["largest"], &found["b"]["largest"]), (&json!(58), &json!(2)));
         assert_eq!(found["worst"][0], json!({ "frame": "frame_00002.png", "excess": 56 }));
         assert_eq!(found["excess"]["p999"], json!(56));
-        let same = run(&Arguments { a: b.clone(), b }).unwrap();
+        // Two pixels further in from the rim of what is covered, nothing has changed.
+        std::fs::create_dir(b.join("coverage")).unwrap();
+        let mut covered = GrayImage::from_pixel(6, 6, image::Luma([255]));
+        (0..6).for_each(|y| covered.put_pixel(5, y, image::Luma([0])));
+        for i in 0..4 {
+            covered.save(b.join(format!("coverage/frame_0000{i}.png"))).unwrap();
+        }
+        let found = judge(&Arguments { a: a.clone(), b: b.clone(), row: None }).unwrap();
+        assert_eq!((&found["excess"]["largest"], &found["excess_inside"]["largest"]), (&json!(56), &json!(0)));
+        let row = run(&Arguments { a, b: b.clone(), row: Some("box".into()) }).unwrap();
+        assert!(row.starts_with("| box | 4 | 58 | 2 | 29.00 |"), "{row}");
+        let same = judge(&Arguments { a: b.clone(), b, row: None }).unwrap();
         assert_eq!((&same["excess"]["largest"], &same["ratio_of_largest"]), (&json!(0), &json!(1.0)));
     }
 
