@@ -31,6 +31,9 @@ pub enum Fault {
         /// The system's answer.
         source: std::io::Error,
     },
+    /// Chunks cannot wait in a temporary file; the path is its folder.
+    #[error("chunks cannot be kept in a temporary file there: {0}; give another folder with --temp-dir")]
+    Spill(#[source] std::io::Error),
     /// The first bytes are not those of an archive.
     #[error("not a progressive-buffers archive (its first bytes are others); make one with pb-bake")]
     NotAnArchive,

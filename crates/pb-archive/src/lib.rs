@@ -12,6 +12,7 @@ compile_error!("archives are little-endian and are used as they lie in memory");
 mod error;
 mod format;
 mod reader;
+mod spill;
 mod storage;
 mod writer;
 
@@ -20,5 +21,6 @@ pub use format::{
     ALIGNMENT, CHUNK_TABLE, ChunkRecord, FEATURES, FORMAT_VERSION, FeatureRecord, Header, MAGIC, SectionRecord,
 };
 pub use reader::{Archive, Table};
+pub use spill::{ChunkBytes, Spill};
 pub use storage::{FileStorage, MemoryStorage, Overwrite, Storage};
 pub use writer::{Feature, Writer};

@@ -3,6 +3,7 @@
 use crate::cli::{BakeArgs, ChartsFrom, TexelFormat, TextureQuality};
 use crate::progress::Progress;
 use crate::scene::Scene;
+use pb_archive::Spill;
 use pb_bake::xatlas::{Helper, HelperFault, Options, Pool, Request};
 use pb_lod::progressive_buffers::bake::{
     BakeError, BakeReport, ChartMode, ChartOptions, Stage, TexelOptions, TextureInput, bake_textured,
@@ -36,6 +37,10 @@ pub fn bake_scene(
     progress: &Progress,
     show: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport, Option<HelperSummary>), BakeError> {
+    let spill = match scene.mesh.texturing {
+        Some(_) => Spill::in_folder(&args.decode_options().temp_dir)?,
+        None => Spill::in_memory(),
+    };
     let images: Vec<Option<Image>> = scene.images.iter().cloned().map(Some).collect();
     let wanted = args.charts == Some(ChartsFrom::Xatlas) && scene.mesh.texturing.is_some();
     let helper = if wanted { Some(HelperCharts::start(args)) } else { None };
@@ -61,6 +66,7 @@ pub fn bake_scene(
             compress: args.texture_format == TexelFormat::Bc,
             normal_space: if args.normal_map { NormalSpace::Object } else { NormalSpace::Tangent },
         },
+        spill: &spill,
     };
     let triangles_in = scene.repairs.triangles_in;
     let baked = bake_textured(&scene.mesh, Some(&textures), triangles_in, &args.bake_options(), show);

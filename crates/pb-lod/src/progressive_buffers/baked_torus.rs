@@ -50,7 +50,7 @@ pub fn baked(torus: &GridTorus) -> BakedModel {
             vertices.iter_mut().enumerate().for_each(|(v, vertex)| vertex.parent = v as u16);
         }
         let chunk = Chunk { first_vertex: first, vertices, indices: torus.indices[c][i].clone() };
-        EncodedChunk { bytes: encode_chunk(&chunk), decoded_bytes: chunk.shape().decoded_bytes() }
+        EncodedChunk { bytes: encode_chunk(&chunk).into(), decoded_bytes: chunk.shape().decoded_bytes() }
     };
     let places = (0..torus.clusters.len()).flat_map(|c| (0..levels).map(move |i| (c, i)));
     BakedModel {
@@ -70,7 +70,8 @@ pub fn baked(torus: &GridTorus) -> BakedModel {
 fn textures(torus: &GridTorus) -> Vec<EncodedChunk> {
     let chunk = |(cluster, level): (u32, u32)| {
         let decoded_bytes = torus.textures().chunk_bytes(cluster, level);
-        EncodedChunk { bytes: (0..decoded_bytes).map(|i| (i + cluster) as u8).collect(), decoded_bytes }
+        let bytes: Vec<u8> = (0..decoded_bytes).map(|i| (i + cluster) as u8).collect();
+        EncodedChunk { bytes: bytes.into(), decoded_bytes }
     };
     let clusters = 0..torus.tiles.len() as u32;
     clusters.flat_map(|c| (0..torus.model.levels).map(move |i| (c, i))).map(chunk).collect()

@@ -76,7 +76,7 @@ fn written(model: &BakedModel) -> Vec<u8> {
     let mut writer = Writer::with_storage(storage.clone(), Path::new("torus.pb"), SCHEME).unwrap();
     writer.require(CHUNK_CODEC);
     for (id, chunk) in model.chunks.iter().enumerate() {
-        writer.put_chunk(id as u32, &chunk.bytes, chunk.decoded_bytes).unwrap();
+        writer.put_chunk(id as u32, &chunk.bytes.read().unwrap(), chunk.decoded_bytes).unwrap();
     }
     writer.add_section(MODEL, &[model.record]).unwrap();
     writer.add_section(CLUSTERS, &model.clusters).unwrap();
@@ -148,7 +148,8 @@ fn textures_that_contradict_the_tables_are_refused_with_the_place() {
         assert!(text.contains(message), "{message}: {text}");
     }
     let mut model = baked(&torus(3, 3).with_textures(7, 0.5));
-    model.chunks[27].bytes.pop();
+    let bytes = model.chunks[27].bytes.read().unwrap()[1..].to_vec();
+    model.chunks[27].bytes = bytes.into();
     let model = open(&model).unwrap();
     let text = model.read_texture(ChunkId(27)).expect_err("too short").to_string();
     assert!(text.contains("16383 bytes of texels instead of 16384"), "{text}");

@@ -2,7 +2,7 @@
 
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, TileRecord};
-use pb_archive::{ArchiveError, Feature, Storage, Writer};
+use pb_archive::{ArchiveError, ChunkBytes, Feature, Storage, Writer};
 
 /// Chunks are packed as [`codec`](super::codec) says. A later codec gets another bit.
 pub const CHUNK_CODEC: Feature = Feature { bit: 0, name: "meshopt-chunks" };
@@ -12,15 +12,15 @@ pub const TEXTURE_TILES: Feature = Feature { bit: 1, name: "texture-tiles" };
 pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit | 1 << TEXTURE_TILES.bit;
 
 /// A packed chunk.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct EncodedChunk {
     /// From [`encode_chunk`](super::codec::encode_chunk).
-    pub bytes: Vec<u8>,
+    pub bytes: ChunkBytes,
     /// From [`ChunkShape::decoded_bytes`](super::codec::ChunkShape::decoded_bytes).
     pub decoded_bytes: u32,
 }
 
-/// All that an archive holds, in memory.
+/// All that an archive holds, in memory but for chunks that wait in a [`Spill`](pb_archive::Spill).
 #[derive(Clone, Debug)]
 pub struct BakedModel {
     /// The model as a whole.
@@ -57,7 +57,7 @@ pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Res
         for cluster in 0..model.record.clusters * kinds {
             let id = cluster * levels + level;
             let chunk = &model.chunks[id as usize];
-            writer.put_chunk(id, &chunk.bytes, chunk.decoded_bytes)?;
+            writer.put_chunk(id, &chunk.bytes.read()?, chunk.decoded_bytes)?;
         }
     }
     writer.add_section(MODEL, &[model.record])?;

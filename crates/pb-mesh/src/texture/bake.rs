@@ -106,6 +106,16 @@ impl BakeOptions {
     }
 }
 
+/// Bytes that a [`Coverage`] and one call of [`bake_tile`] hold at most for a tile of `size` texels per side, but for what
+/// charts have along their borders; `hdr`: of half floats.
+pub fn scratch_bytes(size: u32, hdr: bool) -> u64 {
+    // Owners, triangles, nearest texels, then parts of the third mip and finer texels; mips add a third each.
+    const OWNERSHIP: u64 = 4 * 4 / 3 + 4 + 4 * 4 / 3;
+    const PARTS: u64 = 4;
+    let texel = if hdr { 8 } else { 4 };
+    u64::from(size) * u64::from(size) * (OWNERSHIP + PARTS + texel * 4 / 3 + 1)
+}
+
 /// Makes the mip chain of one map of a tile. A map of one value has a single mip of 4 texels.
 ///
 /// Texels as large as the source's whose centres coincide with those of the source are copies; larger ones are averages

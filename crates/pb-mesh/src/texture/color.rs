@@ -157,9 +157,9 @@ impl Texels {
     }
 
     /// Copies texels onto others of the same list, in order.
-    pub(super) fn copy(&mut self, from_to: &[(u32, u32)]) {
-        fn all<T: Copy>(texels: &mut [T], from_to: &[(u32, u32)]) {
-            from_to.iter().for_each(|&(from, to)| texels[to as usize] = texels[from as usize]);
+    pub(super) fn copy(&mut self, from_to: impl Iterator<Item = (u32, u32)>) {
+        fn all<T: Copy>(texels: &mut [T], from_to: impl Iterator<Item = (u32, u32)>) {
+            from_to.for_each(|(from, to)| texels[to as usize] = texels[from as usize]);
         }
         match self {
             Texels::Rgba8(t) => all(t, from_to),

@@ -40,8 +40,17 @@ pub(super) struct Level {
     pub size: u32,
     /// Per texel: a chart, or [`NONE`].
     pub owner: Vec<u32>,
-    /// Texels without an owner take what the nearest texel with one has: (from, to).
-    pub copies: Vec<(u32, u32)>,
+    /// What the texels without an owner are copies of, in their order: the nearest texel with one. Empty where no texel
+    /// has an owner.
+    copied: Vec<u32>,
+}
+
+impl Level {
+    /// Texels without an owner, and the nearest ones with one: (from, to).
+    pub fn copies(&self) -> impl Iterator<Item = (u32, u32)> {
+        let free = (0..).zip(&self.owner).filter(|o| *o.1 == NONE).map(|o| o.0);
+        self.copied.iter().copied().zip(free)
+    }
 }
 
 /// A texel of mip 0 whose centre is not in its chart, but near.
@@ -172,8 +181,8 @@ fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<Bo
         nearest.into_iter().map(|(texel, (_, _, triangle, edge))| BorderTexel { texel, triangle, edge }).collect();
     border.sort_unstable_by_key(|b| (b.triangle, b.texel));
     border.iter().for_each(|b| owner[b.texel as usize] = layout.chart_of[b.triangle as usize]);
-    let copies = copies(layout.size, &owner);
-    (Level { size: layout.size, owner, copies }, triangles, border)
+    let copied = copied(layout.size, &owner);
+    (Level { size: layout.size, owner, copied }, triangles, border)
 }
 
 fn rims(layout: &TileLayout, edges: &[Edge], owner: &[u32]) -> Vec<(u32, Edge)> {
@@ -206,8 +215,8 @@ fn coarser_level(layout: &TileLayout, edges: &[Edge], size: u32) -> Level {
         }
     });
     let owner: Vec<u32> = best.into_iter().map(|(_, chart)| chart).collect();
-    let copies = copies(size, &owner);
-    Level { size, owner, copies }
+    let copied = copied(size, &owner);
+    Level { size, owner, copied }
 }
 
 fn for_each_inside(layout: &TileLayout, grid: Grid, mut hit: impl FnMut(usize, u32)) {
@@ -224,26 +233,27 @@ fn for_each_near(layout: &TileLayout, grid: Grid, reach: f64, edges: &[Edge], mu
     }
 }
 
-/// Rings around the owned texels, each texel a copy of the owned one that it was reached from.
-fn copies(size: u32, owner: &[u32]) -> Vec<(u32, u32)> {
-    let mut origin: Vec<u32> =
-        owner.iter().enumerate().map(|(i, &chart)| if chart == NONE { NONE } else { i as u32 }).collect();
-    let mut ring: Vec<u32> = (0..origin.len() as u32).filter(|&i| origin[i as usize] != NONE).collect();
-    let mut copies = Vec::new();
+/// Rings around the owned texels, each texel a copy of the owned one that it was reached from: [`Level::copied`].
+fn copied(size: u32, owner: &[u32]) -> Vec<u32> {
+    let mut origin: Vec<u32> = (0..).zip(owner).map(|(i, &chart)| if chart == NONE { NONE } else { i }).collect();
+    let free = |texel: u32| owner[texel as usize] == NONE;
+    let mut ring: Vec<u32> = (0..origin.len() as u32).filter(|&i| !free(i) && neighbours(size, i).any(free)).collect();
     while !ring.is_empty() {
         let mut next = Vec::new();
         for &texel in &ring {
             for neighbour in neighbours(size, texel) {
                 if origin[neighbour as usize] == NONE {
                     origin[neighbour as usize] = origin[texel as usize];
-                    copies.push((origin[texel as usize], neighbour));
                     next.push(neighbour);
                 }
             }
         }
         ring = next;
     }
-    copies
+    let mut texels = 0..;
+    origin.retain(|&from| texels.next().is_some_and(free) && from != NONE);
+    origin.shrink_to_fit();
+    origin
 }
 
 /// The up to eight texels around a texel, those that share an edge first.

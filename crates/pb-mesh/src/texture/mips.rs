@@ -6,6 +6,7 @@
 use super::color::{Coding, Texels, to_unorm};
 use super::coverage::{Coverage, Level, MIN_SIZE, NONE, neighbours};
 use glam::Vec4;
+use std::ops::Deref;
 
 /// Weight of a texel of mip 0 whose centre is outside its chart: decides only where nothing else does.
 const BORDER: f32 = 1.0 / 4096.0;
@@ -54,69 +55,113 @@ impl Part {
     fn value(&self) -> Vec4 {
         (self.sum / (self.sum.w + FAINT * self.weight)).truncate().extend(self.sum.w / self.weight)
     }
+
+    fn add(&mut self, other: &Part) {
+        self.weight += other.weight;
+        self.sum += other.sum;
+    }
 }
 
-/// The parts of all texels of a mip.
-struct Parts {
-    size: u32,
+/// What the charts have under the texels of a mip.
+enum Parts<'a> {
+    /// Of the mip below the finest: added up whenever they are asked for, as they would be the longest list of all.
+    Second { coverage: &'a Coverage, coding: Coding, finest: &'a Texels },
     /// Of texel i: from `first[i]` to `first[i + 1]`.
-    first: Vec<u32>,
-    parts: Vec<Part>,
+    Listed { size: u32, first: Vec<u32>, parts: Vec<Part> },
 }
 
-impl Parts {
-    fn of(&self, texel: u32) -> &[Part] {
-        &self.parts[self.first[texel as usize] as usize..self.first[texel as usize + 1] as usize]
+/// The parts under one texel.
+enum Under<'a> {
+    Added([Part; 4], usize),
+    Listed(&'a [Part]),
+}
+
+impl Deref for Under<'_> {
+    type Target = [Part];
+
+    fn deref(&self) -> &[Part] {
+        match self {
+            Under::Added(parts, count) => &parts[..*count],
+            Under::Listed(parts) => parts,
+        }
+    }
+}
+
+impl Parts<'_> {
+    /// Texels per side.
+    fn size(&self) -> u32 {
+        match self {
+            Parts::Second { coverage, .. } => coverage.size() / 2,
+            Parts::Listed { size, .. } => *size,
+        }
     }
 
-    /// The parts of a mip of half the size, from what each texel of this one adds.
-    fn halved(size: u32, mut add: impl FnMut(u32, &mut Vec<Part>)) -> Parts {
-        let half = size / 2;
-        let mut all = Parts { size: half, first: vec![0], parts: Vec::new() };
-        let mut here = Vec::new();
-        for y in 0..half {
-            for x in 0..half {
-                let corner = 2 * y * size + 2 * x;
-                [corner, corner + 1, corner + size, corner + size + 1].into_iter().for_each(|t| add(t, &mut here));
-                all.parts.append(&mut here);
-                all.first.push(all.parts.len() as u32);
+    fn of(&self, texel: u32) -> Under<'_> {
+        match self {
+            Parts::Second { coverage, coding, finest } => {
+                let (mut parts, mut count) = ([Part { chart: NONE, weight: 0.0, sum: Vec4::ZERO }; 4], 0);
+                let under = under(coverage.size(), texel);
+                for part in under.into_iter().filter_map(|t| first_part(coverage, *coding, finest, t)) {
+                    match parts[..count].iter_mut().find(|p| p.chart == part.chart) {
+                        Some(known) => known.add(&part),
+                        None => {
+                            parts[count] = part;
+                            count += 1;
+                        }
+                    }
+                }
+                Under::Added(parts, count)
+            }
+            Parts::Listed { first, parts, .. } => {
+                Under::Listed(&parts[first[texel as usize] as usize..first[texel as usize + 1] as usize])
             }
         }
-        all
+    }
+
+    /// The parts of the next coarser mip.
+    fn halved(&self) -> Parts<'static> {
+        let size = self.size() / 2;
+        let (mut first, mut parts) = (vec![0], Vec::<Part>::new());
+        for texel in 0..size * size {
+            let begin = parts.len();
+            for below in under(self.size(), texel).map(|t| self.of(t)) {
+                for part in below.iter() {
+                    match parts[begin..].iter_mut().find(|p| p.chart == part.chart) {
+                        Some(known) => known.add(part),
+                        None => parts.push(*part),
+                    }
+                }
+            }
+            first.push(parts.len() as u32);
+        }
+        Parts::Listed { size, first, parts }
     }
 }
 
-fn add_part(parts: &mut Vec<Part>, part: Part) {
-    match parts.iter_mut().find(|p| p.chart == part.chart) {
-        Some(p) => {
-            p.weight += part.weight;
-            p.sum += part.sum;
-        }
-        None => parts.push(part),
-    }
+/// The four texels of a mip of `size` texels per side that lie under one of the next coarser.
+fn under(size: u32, texel: u32) -> [u32; 4] {
+    let (x, y) = (texel % (size / 2), texel / (size / 2));
+    let corner = 2 * y * size + 2 * x;
+    [corner, corner + 1, corner + size, corner + size + 1]
 }
 
 /// Fills what no chart owns in the finest mip and adds the coarser ones.
 pub(super) fn coarser(coverage: &Coverage, coding: Coding, mut finest: Texels, cut_out: bool) -> Mips {
-    let size = coverage.size();
-    finest.copy(&coverage.levels[0].copies);
+    finest.copy(coverage.levels[0].copies());
     let seen = if cut_out { seen_part(coverage, coding, &finest) } else { None };
-    let mut parts: Option<Parts> = None;
-    let mut levels = vec![finest];
-    for level in &coverage.levels[1..] {
-        let next = match &parts {
-            None => Parts::halved(size, |t, out| {
-                first_part(coverage, coding, &levels[0], t).into_iter().for_each(|p| add_part(out, p))
-            }),
-            Some(p) => Parts::halved(p.size, |t, out| p.of(t).iter().for_each(|q| add_part(out, *q))),
-        };
-        levels.push(resolved(level, coding, &next, seen));
-        parts = Some(next);
+    let mut levels = Vec::new();
+    let mut parts = Parts::Second { coverage, coding, finest: &finest };
+    for (mip, level) in coverage.levels.iter().enumerate().skip(1) {
+        if mip > 1 {
+            parts = parts.halved();
+        }
+        levels.push(resolved(level, coding, &parts, seen));
     }
+    levels.insert(0, finest);
     if cut_out {
         color_holes(coding, &mut levels);
     }
-    Mips { size, coding, levels }
+    Mips { size: coverage.size(), coding, levels }
 }
 
 fn first_part(coverage: &Coverage, coding: Coding, finest: &Texels, texel: u32) -> Option<Part> {
@@ -129,18 +174,21 @@ fn first_part(coverage: &Coverage, coding: Coding, finest: &Texels, texel: u32) 
 
 /// The texels of a mip.
 fn resolved(level: &Level, coding: Coding, parts: &Parts, seen: Option<f32>) -> Texels {
-    let mut owned: Vec<(u32, f32, Vec4)> = Vec::new();
-    for (texel, &chart) in level.owner.iter().enumerate().filter(|(_, c)| **c != NONE) {
-        let part = part_for(parts, texel as u32, chart);
-        owned.push((texel as u32, part.map_or(0.0, |p| p.weight), part.map_or(Vec4::W, |p| p.value())));
-    }
-    if let Some(seen) = seen {
-        let gain = alpha_gain(&owned, seen);
-        owned.iter_mut().for_each(|(_, _, value)| value.w = (value.w * gain).min(1.0));
-    }
+    // Asked for twice where there are holes: a list of all would take more than the texels themselves.
+    let owned = || {
+        let texels = (0..).zip(&level.owner).filter(|(_, chart)| **chart != NONE);
+        texels.map(|(texel, &chart)| {
+            let part = part_for(parts, texel, chart);
+            (texel, part.map_or(0.0, |p| p.weight), part.map_or(Vec4::W, |p| p.value()))
+        })
+    };
+    let gain = seen.map(|seen| alpha_gain(owned(), seen));
     let mut texels = Texels::zeros(coding, level.owner.len());
-    owned.iter().for_each(|(texel, _, value)| texels.set(coding, *texel as usize, *value));
-    texels.copy(&level.copies);
+    for (texel, _, value) in owned() {
+        let alpha = gain.map_or(value.w, |gain| (value.w * gain).min(1.0));
+        texels.set(coding, texel as usize, value.with_w(alpha));
+    }
+    texels.copy(level.copies());
     texels
 }
 
@@ -148,10 +196,10 @@ fn resolved(level: &Level, coding: Coding, parts: &Parts, seen: Option<f32>) -> 
 fn part_for(parts: &Parts, texel: u32, chart: u32) -> Option<Part> {
     let own = |t: u32| parts.of(t).iter().find(|p| p.chart == chart).copied();
     own(texel).or_else(|| {
-        let around = || neighbours(parts.size, texel);
+        let around = || neighbours(parts.size(), texel);
         let sum = |a: Part, b: Part| Part { chart, weight: a.weight + b.weight, sum: a.sum + b.sum };
-        let others = || parts.of(texel).iter().chain(around().flat_map(|t| parts.of(t)));
-        around().filter_map(own).reduce(sum).or_else(|| others().max_by(|a, b| a.weight.total_cmp(&b.weight)).copied())
+        let others = || std::iter::once(texel).chain(around()).flat_map(|t| parts.of(t).to_vec());
+        around().filter_map(own).reduce(sum).or_else(|| others().max_by(|a, b| a.weight.total_cmp(&b.weight)))
     })
 }
 
@@ -164,9 +212,9 @@ fn seen_part(coverage: &Coverage, coding: Coding, finest: &Texels) -> Option<f32
 }
 
 /// What alpha is multiplied with so that the wanted part of the area is seen (Castaño 2010, "Computing alpha mipmaps").
-fn alpha_gain(owned: &[(u32, f32, Vec4)], seen: f32) -> f32 {
+fn alpha_gain(owned: impl Iterator<Item = (u32, f32, Vec4)>, seen: f32) -> f32 {
     let mut area = [0.0f32; 256];
-    owned.iter().for_each(|(_, weight, value)| area[usize::from(to_unorm(value.w))] += weight);
+    owned.for_each(|(_, weight, value)| area[usize::from(to_unorm(value.w))] += weight);
     let wanted = area.iter().sum::<f32>() * seen;
     let mut above = 0.0;
     for alpha in (1..=255).rev() {

@@ -18,7 +18,7 @@ mod sample;
 #[cfg(test)]
 mod tests;
 
-pub use bake::{BakeOptions, MapKind, NormalSpace, TileSource, bake_tile};
+pub use bake::{BakeOptions, MapKind, NormalSpace, TileSource, bake_tile, scratch_bytes};
 pub use block::{BlockFormat, Quality, decode, encode, encode_shown};
 pub use color::{Coding, Texels};
 pub use coverage::{Coverage, TileLayout};

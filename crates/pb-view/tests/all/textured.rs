@@ -1,7 +1,7 @@
 //! Textured models: no pops of texels on a slow flight, and bright values that stay bright.
 
 use crate::support::{adapter, column, folder, hills, pb_view_line, read_frame, write_flight};
-use pb_archive::{Overwrite, Writer};
+use pb_archive::{Overwrite, Spill, Writer};
 use pb_lod::progressive_buffers::bake::{
     BakeOptions, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
 };
@@ -29,6 +29,7 @@ fn bake_hills(name: &str, n: u32, image: Image) -> PathBuf {
         images: &[Some(image)],
         charts: ChartOptions { mode: ChartMode::Source, tile_size: 512, charter: None },
         texels: TexelOptions { quality: Quality::Fast, ..TexelOptions::default() },
+        spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: 4, cluster_triangles: 2048, ..BakeOptions::default() };
     let (model, _) = bake_textured(&mesh, Some(&textures), triangles, &options, &|_, _| {}).unwrap();

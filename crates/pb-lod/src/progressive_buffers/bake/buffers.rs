@@ -64,7 +64,7 @@ pub(super) fn build(source: &Source, place: &Place) -> (Vec<LevelRecord>, Vec<En
             vertices: vertices[first as usize..end as usize].to_vec(),
             indices: indices.iter().map(|&i| i as u16).collect(),
         };
-        chunks.push(EncodedChunk { bytes: encode_chunk(&chunk), decoded_bytes: chunk.shape().decoded_bytes() });
+        chunks.push(EncodedChunk { bytes: encode_chunk(&chunk).into(), decoded_bytes: chunk.shape().decoded_bytes() });
     }
     (records, chunks)
 }

@@ -4,13 +4,14 @@
 //! level against the input, build the coarse buffer hierarchy, build and pack the buffers. All loops are data
 //! parallel over clusters or positions, and no result depends on their order.
 //!
-//! Must never: read or write a file, or a clock.
+//! Must never: open a file, or read a clock. Texture chunks go where the caller says.
 
 mod assemble;
 mod buffers;
 mod chart_part;
 mod charting;
 mod grid;
+mod lanes;
 mod levels;
 mod tiles;
 
@@ -25,6 +26,7 @@ use charting::{ChartInput, Tiles, make_tiles, sizing};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
+use pb_archive::{ArchiveError, Spill};
 use pb_mesh::deviation::texture_deviation;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Mesh;
@@ -73,6 +75,8 @@ pub struct TextureInput<'a> {
     pub charts: ChartOptions<'a>,
     /// How texels are stored.
     pub texels: TexelOptions,
+    /// Where finished texture chunks wait until they are written.
+    pub spill: &'a Spill,
 }
 
 /// Steps of the bake, for progress displays.
@@ -105,8 +109,8 @@ pub struct BakeReport {
     pub charts: Option<ChartSummary>,
 }
 
-/// Options that cannot be baked.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+/// Why nothing was baked.
+#[derive(Debug, thiserror::Error)]
 pub enum BakeError {
     /// Levels out of range.
     #[error("--levels {0} is not possible; choose 1 to {MAX_LEVELS}")]
@@ -123,6 +127,9 @@ pub enum BakeError {
     /// Tile size out of range.
     #[error("--tile-size {0} is not possible; choose a power of two from 32 to 4096")]
     TileSize(u32),
+    /// No room for finished chunks.
+    #[error(transparent)]
+    Spill(#[from] ArchiveError),
 }
 
 /// Bakes a mesh without textures. `progress` is called from any thread with a stage and the share of it that is done.
@@ -141,7 +148,7 @@ pub fn bake(
 /// The same with its textures; they are left out where the mesh has no [`Texturing`](pb_mesh::mesh::Texturing).
 ///
 /// # Errors
-/// [`BakeError`] for options out of range.
+/// [`BakeError`] for options out of range, and where there is no room for texture chunks.
 pub fn bake_textured(
     mesh: &Mesh,
     textures: Option<&TextureInput>,
@@ -196,7 +203,7 @@ pub fn bake_textured(
     let (mut model, order, acmr) = assemble(&finished, &|x| progress(Stage::Pack, x));
     if let (Some(input), Some(tiles)) = (textures, &tiles) {
         progress(Stage::Textures, 0.0);
-        fill_tiles(&finished, input, tiles, &order, &mut model, &|x| progress(Stage::Textures, x));
+        fill_tiles(&finished, input, tiles, &order, &mut model, &|x| progress(Stage::Textures, x))?;
     }
     let locked = clusters.kinds.iter().filter(|k| **k == Kind::Locked).count() as u64;
     let report = BakeReport {
@@ -236,13 +243,17 @@ fn for_clusters<T: Send>(
     progress: &(dyn Fn(f32) + Sync),
     job: impl Fn(usize) -> T + Sync + Send,
 ) -> Vec<T> {
+    let share = share_of(count, progress);
+    (0..count).into_par_iter().map(|c| share(job(c))).collect()
+}
+
+/// Counts what passes through, and tells which share of `count` that is.
+fn share_of<T>(count: usize, progress: &(dyn Fn(f32) + Sync)) -> impl Fn(T) -> T + Sync {
     let done = AtomicUsize::new(0);
-    let counted = |c: usize| {
-        let result = job(c);
+    move |result| {
         progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / count as f32);
         result
-    };
-    (0..count).into_par_iter().map(counted).collect()
+    }
 }
 
 /// Mean normal of each position's wedges.

@@ -2,17 +2,22 @@
 
 use super::assemble::Finished;
 use super::charting::Tiles;
-use super::{Clusters, TextureInput, for_clusters};
+use super::lanes::run_bounded;
+use super::{Clusters, TextureInput, share_of};
 use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
 use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
 use glam::IVec3;
+use pb_archive::ArchiveError;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::{Mesh, Texturing};
 use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
-    encode_shown,
+    encode_shown, scratch_bytes,
 };
+
+/// Tiles at work hold at most so many bytes together, or one is at work alone.
+const TILE_WORK_BYTES: u64 = 512 << 20;
 
 /// How texels are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,7 +96,7 @@ pub(super) fn fill_tiles(
     order: &[u32],
     model: &mut BakedModel,
     progress: &(dyn Fn(f32) + Sync),
-) {
+) -> Result<(), ArchiveError> {
     let maps = maps(input, finished.mesh.has_colors);
     let baker = TileBaker {
         mesh: finished.mesh,
@@ -104,14 +109,17 @@ pub(super) fn fill_tiles(
         materials: input.materials.iter().cloned().chain([Material::default()]).collect(),
         levels: finished.levels as u32,
     };
-    let baked = for_clusters(order.len(), progress, |new| baker.bake(order[new] as usize));
-    for (tile, chunks) in baked {
+    let bytes: Vec<u64> = order.iter().map(|&c| baker.work_bytes(tiles.tiles[c as usize].size)).collect();
+    let share = share_of(order.len(), progress);
+    let baked = run_bounded(&bytes, TILE_WORK_BYTES, |new| share(baker.bake(order[new] as usize)));
+    for (tile, chunks) in baked? {
         model.tiles.push(tile);
         model.chunks.extend(chunks);
     }
     model.maps = maps.iter().map(|m| m.record).collect();
     let cut_out = input.materials.iter().any(|m| m.alpha_cutoff.is_some());
     model.record.flags = FLAG_TEXTURES | if cut_out { FLAG_CUTOUT } else { 0 };
+    Ok(())
 }
 
 /// What tiles are filled from.
@@ -130,15 +138,20 @@ struct TileBaker<'a> {
 }
 
 impl TileBaker<'_> {
+    /// What [`bake`](Self::bake) holds at most: one map at a time, and what is packed of all.
+    fn work_bytes(&self, size: u32) -> u64 {
+        let packed: usize = self.maps.iter().map(|m| m.format.bytes(size) * 4 / 3).sum();
+        let hdr = self.maps.iter().any(|m| m.hdr);
+        scratch_bytes(size, hdr) + 2 * packed as u64
+    }
+
     /// The tile of cluster `c` and its texture chunks, finest level first.
-    fn bake(&self, c: usize) -> (TileRecord, Vec<EncodedChunk>) {
+    fn bake(&self, c: usize) -> Result<(TileRecord, Vec<EncodedChunk>), ArchiveError> {
         let tile = &self.tiles.tiles[c];
         let members = self.clusters.segmentation.cluster(c);
         let open_edges: Vec<u8> = members.iter().map(|&t| self.open_edges(t)).collect();
         let layout =
             TileLayout { size: tile.size, corners: &tile.corners, chart_of: &tile.chart_of, open_edges: &open_edges };
-        let coverage = Coverage::new(&layout);
-        let mips = self.mips(&layout, &coverage, members);
         let size_log2 = tile.size.trailing_zeros() as u8;
         let mut record = TileRecord {
             size_log2,
@@ -146,21 +159,22 @@ impl TileBaker<'_> {
             reserved: [0; 3],
             texel: (tile.texel * self.clusters.grid.quantum as f32).clamp(f32::MIN_POSITIVE, f32::MAX),
         };
-        for (k, mips) in mips.iter().enumerate() {
+        let mut encoded: Vec<Vec<Vec<u8>>> = Vec::new();
+        self.each_map(&layout, members, |coverage, k, mips| {
             record.first[k] = size_log2 - mips.size.trailing_zeros() as u8;
-        }
+            encoded.push(self.encoded(&mips, &self.maps[k], coverage));
+        });
         let records: Vec<MapRecord> = self.maps.iter().map(|m| m.record).collect();
-        let encoded: Vec<Vec<Vec<u8>>> =
-            mips.iter().zip(self.maps).map(|(mips, map)| self.encoded(mips, map, &coverage)).collect();
-        let chunk = |level: u32| {
+        let mut chunk = |level: u32| {
             let mut bytes = Vec::new();
             for place in chunk_mips(&records, &record, level, self.levels) {
                 let map = place.map as usize;
-                bytes.extend(&encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
+                bytes.append(&mut encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
             }
-            EncodedChunk { decoded_bytes: bytes.len() as u32, bytes }
+            Ok(EncodedChunk { decoded_bytes: bytes.len() as u32, bytes: self.input.spill.put(bytes)? })
         };
-        (record, (0..self.levels).map(chunk).collect())
+        let chunks: Result<_, ArchiveError> = (0..self.levels).map(&mut chunk).collect();
+        Ok((record, chunks?))
     }
 
     fn encoded(&self, mips: &Mips, map: &Map, coverage: &Coverage) -> Vec<Vec<u8>> {
@@ -174,8 +188,8 @@ impl TileBaker<'_> {
         .collect()
     }
 
-    /// All maps of a tile.
-    fn mips(&self, layout: &TileLayout, coverage: &Coverage, members: &[u32]) -> Vec<Mips> {
+    /// Makes the maps of a tile, one after the other, and hands them out with their numbers.
+    fn each_map(&self, layout: &TileLayout, members: &[u32], mut take: impl FnMut(&Coverage, usize, Mips)) {
         let wedge = |w: u32| &self.mesh.wedges[w as usize];
         let per_triangle = |t: &u32| self.mesh.triangles[*t as usize];
         let none = self.input.materials.len() as u32;
@@ -204,11 +218,11 @@ impl TileBaker<'_> {
             normals: &normals,
             positions: &positions,
         };
-        let bake = |map: &Map| {
+        let coverage = Coverage::new(layout);
+        for (k, map) in self.maps.iter().enumerate() {
             let options = BakeOptions { hdr: map.hdr, normal_space: self.input.texels.normal_space };
-            bake_tile(&source, layout, coverage, map.kind, options)
-        };
-        self.maps.iter().map(bake).collect()
+            take(&coverage, k, bake_tile(&source, layout, &coverage, map.kind, options));
+        }
     }
 
     /// Bit k: beyond edge k of a triangle the source's images go on, in a neighbour of the same material.

@@ -117,13 +117,14 @@ fn i2_a_corner_that_collapses_is_found() {
 fn i3_a_parent_that_dies_no_later_is_found_when_the_chunk_is_decoded() {
     use crate::progressive_buffers::codec::{ChunkShape, CodecError, decode_chunk};
     let torus = torus(3, LEVELS);
-    let bytes = &baked(&torus).chunks[0].bytes;
-    let model = open(&baked(&torus)).unwrap();
+    let baked_torus = baked(&torus);
+    let bytes = baked_torus.chunks[0].bytes.read().unwrap();
+    let model = open(&baked_torus).unwrap();
     let shape = model.shape(crate::plan::ChunkId(0));
     // The same bytes, read as if one vertex fewer lived at the coarser level.
     let first_vertex = shape.first_vertex - 1;
     let wrong = ChunkShape { first_vertex, end_vertex: shape.end_vertex - 1, ..shape };
-    let result = decode_chunk(bytes, wrong);
+    let result = decode_chunk(&bytes, wrong);
     assert!(matches!(result, Err(CodecError::Parent { .. } | CodecError::Index { .. })), "{result:?}");
     let error = ModelError::Chunk {
         path: "torus.pb".into(),
@@ -208,7 +209,8 @@ fn i6_a_triangle_turned_over_in_its_texture_coordinates_is_found_at_every_level(
 fn a_damaged_texture_is_named() {
     let torus = torus(3, LEVELS).with_textures(6, 1.0);
     let mut model = baked(&torus);
-    model.chunks[36].bytes.push(0);
+    let bytes = [&*model.chunks[36].bytes.read().unwrap(), &[0]].concat();
+    model.chunks[36].bytes = bytes.into();
     let found: Vec<String> = verify(&open(&model).unwrap()).unwrap_err().iter().map(Breach::to_string).collect();
     assert_found(&found, "Bytes", "cluster 0 level 0 (chunk 36)");
 }
