@@ -1,8 +1,11 @@
 //! Decodes images as a bake does and says what that holds in memory: `cargo run --release --example decode -- FILE...`
 
-use pb_bake::images::{DecodeOptions, ImageContent, ImageSource, decode_all};
+use pb_bake::images::{DecodeOptions, ImageContent, ImageSource, Memory, decode_all};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+
+#[global_allocator]
+static MEMORY: Memory = Memory;
 
 /// A value of this process's status, bytes; 0 where the system has none.
 fn status(key: &str) -> u64 {

@@ -16,6 +16,7 @@ use clap::Parser;
 use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
 use pb_archive::{Overwrite, Writer};
+use pb_bake::images::Memory;
 use pb_lod::progressive_buffers::bake::{BakeError, Stage};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
@@ -23,6 +24,10 @@ use progress::{Mode, Progress};
 use report::BakeSummary;
 use scene::Scene;
 use std::process::ExitCode;
+
+/// Decoders of images hold their large blocks in files.
+#[global_allocator]
+static MEMORY: Memory = Memory;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();

@@ -1,5 +1,6 @@
 //! One image, or all of a scene: what kind its bytes are, whether they fit, and what happens when they do not.
 
+use super::memory::in_files;
 use super::{DecodeOptions, ImageContent, ImageError, ImageSource, MAX_IMAGE_SIDE, exr, placeholder, raster};
 use crate::import::Source;
 use image::ImageFormat;
@@ -53,13 +54,15 @@ pub struct ImageFault {
     pub message: String,
 }
 
-/// Decodes one image. Texels of large ones lie in a temporary file, which has no name and vanishes with the image.
+/// Decodes one image. Texels of large ones lie in a temporary file, which has no name and vanishes with the image; so
+/// does what the decoder holds meanwhile, in programs whose allocator is [`Memory`](super::Memory).
 ///
 /// # Errors
 /// See [`ImageError`].
 pub fn decode(source: &ImageSource, options: &DecodeOptions) -> Result<Image, ImageError> {
     with_bytes(&source.content, |bytes| {
-        let decoded = crate::guard::guarded(|| decode_bytes(bytes, options));
+        let decode = || in_files(&options.temp_dir, || decode_bytes(bytes, options));
+        let decoded = crate::guard::guarded(decode);
         decoded.unwrap_or_else(|| Err(ImageError::broken("its content is so damaged that the decoder gave up")))
     })
 }

@@ -5,6 +5,7 @@ use super::{DecodeOptions, ImageError};
 use memmap2::{Mmap, MmapMut};
 use pb_mesh::texture::image::{Image, TexelBytes, TexelFormat};
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Images of fewer bytes stay in memory.
@@ -18,19 +19,13 @@ pub(super) enum Store {
 
 impl Store {
     /// Room for `bytes` bytes, all 0.
-    #[allow(unsafe_code)]
     pub(super) fn new(bytes: u64, options: &DecodeOptions) -> Result<Store, ImageError> {
         if bytes < SMALL_BYTES {
             return Ok(Store::Memory(vec![0; bytes as usize]));
         }
         let folder = options.temp_dir.display().to_string();
         let no_room = |source: io::Error| ImageError::NoRoom { bytes, folder: folder.clone(), source };
-        let file = tempfile::tempfile_in(&options.temp_dir).map_err(no_room)?;
-        reserve(&file, bytes).map_err(no_room)?;
-        // SAFETY: the file was made for this mapping alone, has no name, and its descriptor is closed when this
-        // function ends: nothing else can change or shorten it.
-        let map = unsafe { MmapMut::map_mut(&file) }.map_err(no_room)?;
-        Ok(Store::Mapped(map))
+        map_new_file(&options.temp_dir, bytes).map(Store::Mapped).map_err(no_room)
     }
 
     pub(super) fn bytes_mut(&mut self) -> &mut [u8] {
@@ -59,6 +54,16 @@ impl Store {
         };
         Ok(Image::new(width, height, format, bytes))
     }
+}
+
+/// A new file of zeros in memory; it has no name and is gone when the map is.
+#[allow(unsafe_code)]
+pub(super) fn map_new_file(folder: &Path, bytes: u64) -> io::Result<MmapMut> {
+    let file = tempfile::tempfile_in(folder)?;
+    reserve(&file, bytes)?;
+    // SAFETY: the file was made for this mapping alone, has no name, and its descriptor is closed when this
+    // function ends: nothing else can change or shorten it.
+    unsafe { MmapMut::map_mut(&file) }
 }
 
 /// Sets the size of a new file; where the system can, its blocks too, so that a full disk is an error now and no

@@ -1,7 +1,7 @@
 //! From the textured surface of one cluster to the finest mip of its tile, for one map.
 
 use super::color::{Coding, SRGB, Texels};
-use super::coverage::{Coverage, NONE, TileLayout};
+use super::coverage::{Coverage, NOBODY, NONE, TileLayout};
 use super::image::Image;
 use super::mips::{Mips, coarser};
 use super::normal::{Derivatives, in_tile, perturbed};
@@ -109,11 +109,10 @@ impl BakeOptions {
 /// Bytes that a [`Coverage`] and one call of [`bake_tile`] hold at most for a tile of `size` texels per side, but for what
 /// charts have along their borders; `hdr`: of half floats.
 pub fn scratch_bytes(size: u32, hdr: bool) -> u64 {
-    // Owners, triangles, nearest texels, then parts of the third mip and finer texels; mips add a third each.
-    const OWNERSHIP: u64 = 4 * 4 / 3 + 4 + 4 * 4 / 3;
-    const PARTS: u64 = 4;
+    // Owners, nearest texels and texels of every mip; triangles of the finest, and parts of the third and on.
     let texel = if hdr { 8 } else { 4 };
-    u64::from(size) * u64::from(size) * (OWNERSHIP + PARTS + texel * 4 / 3 + 1)
+    let texels = u64::from(size) * u64::from(size);
+    texels * (2 + 4 + texel) * 4 / 3 + texels * 3
 }
 
 /// Makes the mip chain of one map of a tile. A map of one value has a single mip of 4 texels.
@@ -154,7 +153,7 @@ fn only_value(texels: &Texels, coverage: &Coverage, coding: Coding) -> Option<Ve
         let Some(first) = owned.next() else { return Some(None) };
         owned.all(|i| texels[i] == texels[first]).then_some(Some(first))
     }
-    let owned = coverage.owners(0).iter().enumerate().filter(|(_, o)| **o != NONE).map(|(i, _)| i);
+    let owned = coverage.owners(0).iter().enumerate().filter(|(_, o)| **o != NOBODY).map(|(i, _)| i);
     let first = match texels {
         Texels::Rgba8(t) => same(t, owned),
         Texels::Rg8(t) => same(t, owned),
@@ -183,7 +182,7 @@ impl<'a> Baker<'a> {
             let mut patch = None;
             Grid { size }.inside(*corners, |x, y| {
                 let texel = y * size + x;
-                if coverage.triangles[texel as usize] == triangle as u32 {
+                if coverage.triangles[texel as usize] == triangle as u16 {
                     let patch = patch.get_or_insert_with(|| self.patch(triangle));
                     let at = DVec2::new(f64::from(x), f64::from(y)) + 0.5;
                     self.rim(coverage, texel, &mut rim);

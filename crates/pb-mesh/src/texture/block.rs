@@ -4,6 +4,7 @@ use super::color::Texels;
 use ctt_bc7enc_rdo as bc7e;
 use ctt_intel_texture_compressor as intel;
 use half::f16;
+use rayon::prelude::*;
 
 /// How texels lie in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -93,24 +94,31 @@ pub fn encode_shown(texels: &Texels, side: u32, format: BlockFormat, quality: Qu
         return encode(texels, side, format, quality);
     };
     let (settings, across) = (bc7_settings(quality), side as usize / 4);
-    let mut bytes = vec![0; texels.len()];
-    let places: Vec<usize> = (0..shown.len()).filter(|&b| shown[b]).collect();
     let hidden = bc7_blocks(&[0; 16], &settings);
-    bytes.chunks_exact_mut(16).zip(shown).filter(|b| !b.1).for_each(|(block, _)| block.copy_from_slice(&hidden));
-    for batch in places.chunks(BATCH) {
-        let texel = |block: usize, i: usize| {
-            let (x, y) = (block % across * 4 + i % 4, block / across * 4 + i / 4);
-            u32::from_ne_bytes(texels[y * side as usize + x])
-        };
-        let pixels: Vec<u32> = batch.iter().flat_map(|&b| (0..16).map(move |i| texel(b, i))).collect();
-        let packed = bc7_blocks(&pixels, &settings);
-        for (&place, block) in batch.iter().zip(packed.chunks_exact(16)) {
-            bytes[place * 16..][..16].copy_from_slice(block);
+    let texel = |block: usize, i: usize| {
+        let (x, y) = (block % across * 4 + i % 4, block / across * 4 + i / 4);
+        u32::from_ne_bytes(texels[y * side as usize + x])
+    };
+    let pack = |(band, bytes): (usize, &mut [u8])| {
+        let first = band * BAND;
+        let shown = &shown[first..first + bytes.len() / 16];
+        let places: Vec<usize> = (0..shown.len()).filter(|&b| shown[b]).collect();
+        bytes.chunks_exact_mut(16).zip(shown).filter(|b| !b.1).for_each(|(block, _)| block.copy_from_slice(&hidden));
+        for batch in places.chunks(BATCH) {
+            let pixels: Vec<u32> = batch.iter().flat_map(|&b| (0..16).map(move |i| texel(first + b, i))).collect();
+            let packed = bc7_blocks(&pixels, &settings);
+            for (&place, block) in batch.iter().zip(packed.chunks_exact(16)) {
+                bytes[place * 16..][..16].copy_from_slice(block);
+            }
         }
-    }
+    };
+    let mut bytes = vec![0; texels.len()];
+    bytes.par_chunks_mut(16 * BAND).enumerate().for_each(pack);
     bytes
 }
 
+/// Blocks of an image that one thread packs.
+const BAND: usize = 1 << 12;
 /// Blocks that are packed at a time.
 const BATCH: usize = 256;
 

@@ -18,6 +18,8 @@ const REACH: f64 = 1.0 + 1.0 / 64.0;
 const CARE: f64 = 2.5;
 /// No chart, no triangle, no texel.
 pub(super) const NONE: u32 = u32::MAX;
+/// The same in lists per texel, where every byte counts.
+pub(super) const NOBODY: u16 = u16::MAX;
 
 /// Where the triangles of a cluster lie in its tile.
 #[derive(Clone, Copy, Debug)]
@@ -38,8 +40,8 @@ pub struct TileLayout<'a> {
 pub(super) struct Level {
     /// Texels per side.
     pub size: u32,
-    /// Per texel: a chart, or [`NONE`].
-    pub owner: Vec<u32>,
+    /// Per texel: a chart, or [`NOBODY`].
+    pub owner: Vec<u16>,
     /// What the texels without an owner are copies of, in their order: the nearest texel with one. Empty where no texel
     /// has an owner.
     copied: Vec<u32>,
@@ -48,7 +50,7 @@ pub(super) struct Level {
 impl Level {
     /// Texels without an owner, and the nearest ones with one: (from, to).
     pub fn copies(&self) -> impl Iterator<Item = (u32, u32)> {
-        let free = (0..).zip(&self.owner).filter(|o| *o.1 == NONE).map(|o| o.0);
+        let free = (0..).zip(&self.owner).filter(|o| *o.1 == NOBODY).map(|o| o.0);
         self.copied.iter().copied().zip(free)
     }
 }
@@ -66,8 +68,8 @@ pub(super) struct BorderTexel {
 pub struct Coverage {
     /// Finest first, down to 4 texels.
     pub(super) levels: Vec<Level>,
-    /// Per texel of mip 0: the triangle that holds its centre, or [`NONE`].
-    pub(super) triangles: Vec<u32>,
+    /// Per texel of mip 0: the triangle that holds its centre, or [`NOBODY`].
+    pub(super) triangles: Vec<u16>,
     /// Ordered by triangle, then texel.
     pub(super) border: Vec<BorderTexel>,
     /// Texels of mip 0 near closed edges of their own chart, with these; ordered by texel.
@@ -80,7 +82,8 @@ impl Coverage {
     /// Rasterizes a layout. Charts should be two texels apart where the tile is 32 wide; nearer ones share.
     ///
     /// # Panics
-    /// When the size is no power of two from 4 to 32768, or the lists differ in length.
+    /// When the size is no power of two from 4 to 32768, the lists differ in length, or there are 65,535 triangles or
+    /// charts.
     pub fn new(layout: &TileLayout) -> Coverage {
         assert!(
             layout.size.is_power_of_two() && (MIN_SIZE..=MAX_SIZE).contains(&layout.size),
@@ -89,6 +92,8 @@ impl Coverage {
         );
         assert_eq!(layout.corners.len(), layout.chart_of.len(), "a chart per triangle");
         assert!(layout.open_edges.is_empty() || layout.open_edges.len() == layout.corners.len(), "edges per triangle");
+        let short = |chart: u32| chart == NONE || chart < u32::from(NOBODY);
+        assert!(layout.corners.len() < usize::from(NOBODY) && layout.chart_of.iter().all(|&c| short(c)), "16 bits");
         let edges = chart_borders(layout);
         let (finest, triangles, border) = finest_level(layout, &edges);
         let rims = rims(layout, &edges, &finest.owner);
@@ -120,7 +125,7 @@ impl Coverage {
         let Level { size, owner, .. } = &self.levels[mip];
         let (size, across) = (*size as usize, *size as usize / 4);
         let mut shown = vec![false; across * across];
-        for (i, _) in owner.iter().enumerate().filter(|o| *o.1 != NONE) {
+        for (i, _) in owner.iter().enumerate().filter(|o| *o.1 != NOBODY) {
             let (x, y) = (i % size / 4, i / size / 4);
             for y in y.saturating_sub(1)..(y + 2).min(across) {
                 shown[y * across + x.saturating_sub(1)..y * across + (x + 2).min(across)].fill(true);
@@ -129,8 +134,8 @@ impl Coverage {
         shown
     }
 
-    /// Charts of the texels of a mip, rows from the top; `u32::MAX` more than one texel from every chart.
-    pub fn owners(&self, mip: usize) -> &[u32] {
+    /// Charts of the texels of a mip, rows from the top; [`NOBODY`] more than one texel from every chart.
+    pub(super) fn owners(&self, mip: usize) -> &[u16] {
         &self.levels[mip].owner
     }
 }
@@ -156,20 +161,20 @@ fn chart_borders(layout: &TileLayout) -> Vec<Edge> {
     all.into_iter().filter(|&e| uses[&key(e)] == 1 || tile_area2(layout.corners[e.0 as usize]) == 0).collect()
 }
 
-fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<BorderTexel>) {
+fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u16>, Vec<BorderTexel>) {
     let grid = Grid { size: layout.size };
     let count = (layout.size * layout.size) as usize;
-    let mut triangles = vec![NONE; count];
-    let mut owner = vec![NONE; count];
+    let mut triangles = vec![NOBODY; count];
+    let mut owner = vec![NOBODY; count];
     for_each_inside(layout, grid, |texel, triangle| {
-        if triangles[texel] == NONE {
-            triangles[texel] = triangle;
-            owner[texel] = layout.chart_of[triangle as usize];
+        if triangles[texel] == NOBODY {
+            triangles[texel] = triangle as u16;
+            owner[texel] = layout.chart_of[triangle as usize] as u16;
         }
     });
     let mut nearest: HashMap<u32, (f32, u32, u32, u8)> = HashMap::new();
     for_each_near(layout, grid, REACH, edges, |texel, distance, (triangle, edge)| {
-        if triangles[texel] == NONE {
+        if triangles[texel] == NOBODY {
             let here = (distance, layout.chart_of[triangle as usize], triangle, edge);
             let best = nearest.entry(texel as u32).or_insert(here);
             if here < *best {
@@ -180,18 +185,18 @@ fn finest_level(layout: &TileLayout, edges: &[Edge]) -> (Level, Vec<u32>, Vec<Bo
     let mut border: Vec<BorderTexel> =
         nearest.into_iter().map(|(texel, (_, _, triangle, edge))| BorderTexel { texel, triangle, edge }).collect();
     border.sort_unstable_by_key(|b| (b.triangle, b.texel));
-    border.iter().for_each(|b| owner[b.texel as usize] = layout.chart_of[b.triangle as usize]);
+    border.iter().for_each(|b| owner[b.texel as usize] = layout.chart_of[b.triangle as usize] as u16);
     let copied = copied(layout.size, &owner);
     (Level { size: layout.size, owner, copied }, triangles, border)
 }
 
-fn rims(layout: &TileLayout, edges: &[Edge], owner: &[u32]) -> Vec<(u32, Edge)> {
+fn rims(layout: &TileLayout, edges: &[Edge], owner: &[u16]) -> Vec<(u32, Edge)> {
     let open = |(t, k): Edge| layout.open_edges.get(t as usize).is_some_and(|open| open & (1 << k) != 0);
     let flat = |(t, _): Edge| tile_area2(layout.corners[t as usize]) == 0;
     let closed: Vec<Edge> = edges.iter().copied().filter(|&e| !open(e) && !flat(e)).collect();
     let mut rims = Vec::new();
     for_each_near(layout, Grid { size: layout.size }, CARE, &closed, |texel, _, edge| {
-        if owner[texel] == layout.chart_of[edge.0 as usize] {
+        if u32::from(owner[texel]) == layout.chart_of[edge.0 as usize] {
             rims.push((texel as u32, edge));
         }
     });
@@ -214,7 +219,7 @@ fn coarser_level(layout: &TileLayout, edges: &[Edge], size: u32) -> Level {
             best[texel] = here;
         }
     });
-    let owner: Vec<u32> = best.into_iter().map(|(_, chart)| chart).collect();
+    let owner: Vec<u16> = best.into_iter().map(|(_, chart)| chart as u16).collect();
     let copied = copied(size, &owner);
     Level { size, owner, copied }
 }
@@ -234,9 +239,9 @@ fn for_each_near(layout: &TileLayout, grid: Grid, reach: f64, edges: &[Edge], mu
 }
 
 /// Rings around the owned texels, each texel a copy of the owned one that it was reached from: [`Level::copied`].
-fn copied(size: u32, owner: &[u32]) -> Vec<u32> {
-    let mut origin: Vec<u32> = (0..).zip(owner).map(|(i, &chart)| if chart == NONE { NONE } else { i }).collect();
-    let free = |texel: u32| owner[texel as usize] == NONE;
+fn copied(size: u32, owner: &[u16]) -> Vec<u32> {
+    let mut origin: Vec<u32> = (0..).zip(owner).map(|(i, &chart)| if chart == NOBODY { NONE } else { i }).collect();
+    let free = |texel: u32| owner[texel as usize] == NOBODY;
     let mut ring: Vec<u32> = (0..origin.len() as u32).filter(|&i| !free(i) && neighbours(size, i).any(free)).collect();
     while !ring.is_empty() {
         let mut next = Vec::new();

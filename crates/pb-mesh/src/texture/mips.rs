@@ -4,7 +4,7 @@
 //! without any take those of their chart around them. So no neighbour and no background comes into an average.
 
 use super::color::{Coding, Texels, to_unorm};
-use super::coverage::{Coverage, Level, MIN_SIZE, NONE, neighbours};
+use super::coverage::{Coverage, Level, MIN_SIZE, NOBODY, NONE, neighbours};
 use glam::Vec4;
 use std::ops::Deref;
 
@@ -166,19 +166,19 @@ pub(super) fn coarser(coverage: &Coverage, coding: Coding, mut finest: Texels, c
 
 fn first_part(coverage: &Coverage, coding: Coding, finest: &Texels, texel: u32) -> Option<Part> {
     let chart = coverage.levels[0].owner[texel as usize];
-    let weight = if coverage.triangles[texel as usize] == NONE { BORDER } else { 1.0 };
+    let weight = if coverage.triangles[texel as usize] == NOBODY { BORDER } else { 1.0 };
     let value = finest.get(coding, texel as usize);
     let sum = (value.truncate() * (value.w + FAINT)).extend(value.w) * weight;
-    (chart != NONE).then_some(Part { chart, weight, sum })
+    (chart != NOBODY).then_some(Part { chart: chart.into(), weight, sum })
 }
 
 /// The texels of a mip.
 fn resolved(level: &Level, coding: Coding, parts: &Parts, seen: Option<f32>) -> Texels {
     // Asked for twice where there are holes: a list of all would take more than the texels themselves.
     let owned = || {
-        let texels = (0..).zip(&level.owner).filter(|(_, chart)| **chart != NONE);
+        let texels = (0..).zip(&level.owner).filter(|(_, chart)| **chart != NOBODY);
         texels.map(|(texel, &chart)| {
-            let part = part_for(parts, texel, chart);
+            let part = part_for(parts, texel, chart.into());
             (texel, part.map_or(0.0, |p| p.weight), part.map_or(Vec4::W, |p| p.value()))
         })
     };
@@ -205,7 +205,7 @@ fn part_for(parts: &Parts, texel: u32, chart: u32) -> Option<Part> {
 
 /// The part of the charts' area that is no hole; `None` without holes.
 fn seen_part(coverage: &Coverage, coding: Coding, finest: &Texels) -> Option<f32> {
-    let inside = || (0..finest.len()).filter(|&i| coverage.triangles[i] != NONE);
+    let inside = || (0..finest.len()).filter(|&i| coverage.triangles[i] != NOBODY);
     let seen = inside().filter(|&i| finest.get(coding, i).w >= SEEN).count();
     let all = inside().count();
     (seen > 0 && seen < all).then(|| seen as f32 / all as f32)

@@ -17,7 +17,7 @@ use pb_mesh::texture::{
 };
 
 /// Tiles at work hold at most so many bytes together, or one is at work alone.
-const TILE_WORK_BYTES: u64 = 512 << 20;
+const TILE_WORK_BYTES: u64 = 640 << 20;
 
 /// How texels are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,7 +142,7 @@ impl TileBaker<'_> {
     fn work_bytes(&self, size: u32) -> u64 {
         let packed: usize = self.maps.iter().map(|m| m.format.bytes(size) * 4 / 3).sum();
         let hdr = self.maps.iter().any(|m| m.hdr);
-        scratch_bytes(size, hdr) + 2 * packed as u64
+        scratch_bytes(size, hdr) + packed as u64
     }
 
     /// The tile of cluster `c` and its texture chunks, finest level first.
@@ -169,7 +169,8 @@ impl TileBaker<'_> {
             let mut bytes = Vec::new();
             for place in chunk_mips(&records, &record, level, self.levels) {
                 let map = place.map as usize;
-                bytes.append(&mut encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
+                let mip = std::mem::take(&mut encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
+                if bytes.is_empty() { bytes = mip } else { bytes.extend(mip) }
             }
             Ok(EncodedChunk { decoded_bytes: bytes.len() as u32, bytes: self.input.spill.put(bytes)? })
         };
