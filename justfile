@@ -28,6 +28,10 @@ bench-textures *MODELS:
 bench-pops *MODELS:
     tools/bench-pops {{MODELS}}
 
+# what a bake of a 16384 x 16384 image holds in memory, per texel of the image: PNG, JPEG, TIFF
+bench-texture-memory *KINDS:
+    tools/bench-texture-memory {{KINDS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

@@ -100,7 +100,7 @@ pub struct BakeArgs {
     /// Seconds that the xatlas helper may take for one cluster
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     pub xatlas_time_limit: f64,
-    /// Folder for temporary files, which large images need; that of the archive unless given
+    /// Folder for temporary files, which images and texture chunks need; that of the archive unless given
     #[arg(long, value_name = "DIR")]
     pub temp_dir: Option<PathBuf>,
     /// Replace an existing file even if it is not an archive

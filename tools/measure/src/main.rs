@@ -6,6 +6,7 @@ mod distance;
 mod flights;
 mod generate;
 mod levels;
+mod memory;
 mod mesh;
 mod pops;
 mod random;
@@ -82,6 +83,8 @@ enum Measurement {
         #[arg(long)]
         pb_bake: Option<PathBuf>,
     },
+    /// Run a command and say what it holds at most in memory that is not a file's; exit 1 above a limit.
+    Memory(memory::Arguments),
     /// Median, 95th percentile and maximum of each column of a pb-view --stats file.
     Stats { csv: PathBuf },
     /// All levels of an archive against its input and against meshopt; exit 1 when a stated bound does not hold.
@@ -158,6 +161,11 @@ fn run(command: Measurement) -> Result<bool> {
         }
         Measurement::BakeSpeed { mesh, steps, pb_bake } => {
             println!("{:#}", speed::bake(&pb_bake.unwrap_or_else(levels::default_pb_bake), &mesh, steps)?);
+        }
+        Measurement::Memory(arguments) => {
+            let found = memory::run(&arguments)?;
+            println!("{:#}", found.figures);
+            return Ok(found.holds);
         }
         Measurement::Stats { csv } => println!("{:#}", speed::stats(&csv)?),
         Measurement::Levels { archive, input, samples, seed, pb_bake, markdown } => {

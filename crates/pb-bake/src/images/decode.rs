@@ -85,7 +85,8 @@ pub fn decode_all(
         while bytes.load(Ordering::Relaxed) <= options.max_bytes {
             let index = next.fetch_add(1, Ordering::Relaxed);
             let Some(source) = sources.get(index) else { return };
-            let result = gate.pass(in_flight_bytes(source), || decode(source, options));
+            let bytes_in_flight = in_files(&options.temp_dir, || in_flight_bytes(source));
+            let result = gate.pass(bytes_in_flight, || decode(source, options));
             let length = result.as_ref().map_or(0, |image| image.bytes().len() as u64);
             bytes.fetch_add(length, Ordering::Relaxed);
             // Each index is taken once, so the place is empty.

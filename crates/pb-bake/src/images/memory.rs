@@ -35,6 +35,12 @@ thread_local! {
 /// The blocks that lie in files, in no order; few, as they are large.
 static BLOCKS: Mutex<Vec<MmapMut>> = Mutex::new(Vec::new());
 
+#[cfg(test)]
+thread_local! {
+    /// Blocks in files that this thread ever got.
+    static COUNT: Cell<usize> = const { Cell::new(0) };
+}
+
 /// Runs `work` with the large blocks that this thread asks for in files in `folder`.
 pub(super) fn in_files<T>(folder: &Path, work: impl FnOnce() -> T) -> T {
     /// Puts back what was, also after a panic.
@@ -69,6 +75,8 @@ fn in_file(layout: Layout) -> Option<*mut u8> {
     }
     let folder = FOLDER.get()?;
     let mut map = map_new_file(folder, layout.size() as u64).ok()?;
+    #[cfg(test)]
+    COUNT.set(COUNT.get() + 1);
     let start = map.as_mut_ptr();
     let mut blocks = BLOCKS.lock().unwrap_or_else(PoisonError::into_inner);
     (start as usize).is_multiple_of(layout.align()).then(|| blocks.push(map)).map(|()| start)
@@ -166,6 +174,17 @@ mod tests {
         let start = large.as_ptr() as usize;
         std::thread::spawn(move || drop(large)).join().unwrap();
         assert!(BLOCKS.lock().unwrap().iter().all(|b| b.as_ptr() as usize != start), "ended by another thread");
+    }
+
+    #[test]
+    fn what_decoders_hold_of_large_images_lies_in_files() {
+        use super::super::{DecodeOptions, ImageContent, ImageSource, decode};
+        let mut tiff = std::io::Cursor::new(Vec::new());
+        image::RgbImage::new(4096, 2048).write_to(&mut tiff, image::ImageFormat::Tiff).unwrap();
+        let content = ImageContent::Bytes(tiff.into_inner().into());
+        let before = COUNT.get();
+        decode(&ImageSource { name: "a.tif".into(), content }, &DecodeOptions::default()).unwrap();
+        assert!(COUNT.get() > before);
     }
 
     #[test]

@@ -69,6 +69,14 @@ fn large_images_need_room_and_say_so() {
 }
 
 #[test]
+fn texture_chunks_need_room_and_say_so() {
+    let place = place();
+    let before = place.files();
+    place.run(&["m.obj", "m.pb", "--temp-dir", "nowhere"]).fails(2, "nowhere: chunks cannot be kept");
+    assert_eq!(place.files(), before);
+}
+
+#[test]
 fn models_without_images_get_tiles_where_a_normal_map_is_wanted() {
     let place = place();
     place.write("bare.obj", OBJ.replace("mtllib m.mtl\n", "").as_bytes());

@@ -48,9 +48,29 @@ pub struct Arguments {
     texture: Option<u32>,
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// The image as JPEG instead of PNG.
-    #[arg(long)]
-    jpeg: bool,
+    /// How the image is stored.
+    #[arg(long, value_enum, default_value_t = ImageKind::Png)]
+    image: ImageKind,
+}
+
+/// How an image is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ImageKind {
+    Png,
+    /// Baseline.
+    Jpeg,
+    /// Deflated strips; not for .glb.
+    Tiff,
+}
+
+impl ImageKind {
+    fn extension(self) -> &'static str {
+        match self {
+            ImageKind::Png => "png",
+            ImageKind::Jpeg => "jpg",
+            ImageKind::Tiff => "tif",
+        }
+    }
 }
 
 /// A torus in islands.
@@ -87,11 +107,12 @@ pub fn run(arguments: &Arguments) -> Result<Value> {
     ensure!((16..=32768).contains(&size), "--texture must be 16 to 32768");
     let torus = Torus::new(arguments.kind, triangles, islands, size, arguments.seed);
     ensure!(torus.span().iter().all(|s| *s >= 1.0), "the islands are too many for the texture");
-    let image = arguments.out.with_extension(if arguments.jpeg { "jpg" } else { "png" });
+    let image = arguments.out.with_extension(arguments.image.extension());
     paint::write(&torus, &image)?;
     match arguments.out.extension().and_then(|e| e.to_str()) {
         Some("obj") => torus.write_obj(&arguments.out, &image)?,
         Some("glb") => {
+            ensure!(arguments.image != ImageKind::Tiff, "a GLB file holds PNG or JPEG; write .obj");
             torus.write_glb(&arguments.out, &image)?;
             std::fs::remove_file(&image)?;
         }

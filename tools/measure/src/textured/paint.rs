@@ -5,6 +5,7 @@ use image::{GenericImageView, Rgb};
 use rayon::prelude::*;
 use std::io::BufWriter;
 use std::path::Path;
+use tiff::encoder::compression::DeflateLevel;
 
 use crate::random::{mixed, noise, octaves};
 
@@ -53,7 +54,7 @@ fn hash(x: i64, y: i64, seed: u64) -> u64 {
     mixed(mixed(seed ^ x as u64).wrapping_add(y as u64))
 }
 
-/// Writes a .png or .jpg file.
+/// Writes a .png, .jpg or .tif file.
 pub fn write(paint: &dyn Paint, path: &Path) -> Result<()> {
     let size = paint.size();
     let file = std::fs::File::create(path).with_context(|| format!("{}: cannot be written", path.display()))?;
@@ -73,7 +74,15 @@ pub fn write(paint: &dyn Paint, path: &Path) -> Result<()> {
         Some("jpg" | "jpeg") => {
             image::codecs::jpeg::JpegEncoder::new_with_quality(out, 95).encode_image(&Lazily(paint))?;
         }
-        _ => bail!("{}: only .png and .jpg can be written", path.display()),
+        Some("tif") => {
+            let mut encoder = tiff::encoder::TiffEncoder::new(out)?
+                .with_compression(tiff::encoder::Compression::Deflate(DeflateLevel::Fast));
+            let mut image = encoder.new_image::<tiff::encoder::colortype::RGB8>(size, size)?;
+            image.rows_per_strip(BAND)?;
+            (0..size).step_by(BAND as usize).try_for_each(|top| image.write_strip(&band(paint, top)))?;
+            image.finish()?;
+        }
+        _ => bail!("{}: only .png, .jpg and .tif can be written", path.display()),
     }
     Ok(())
 }

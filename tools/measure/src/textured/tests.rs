@@ -12,10 +12,25 @@ fn make(kind: Kind, name: &str, folder: &Path) -> PathBuf {
         islands: Some(6),
         texture: Some(256),
         seed: 2,
-        jpeg: false,
+        image: ImageKind::Png,
     };
     run(&arguments).unwrap();
     out
+}
+
+#[test]
+fn images_of_all_kinds_show_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let torus = Torus::new(Kind::Scan, 4000, 6, 200, 2);
+    let written = |name: &str| {
+        let path = folder.path().join(name);
+        paint::write(&torus, &path).unwrap();
+        image::open(&path).unwrap().into_rgb8()
+    };
+    let (png, tiff, jpeg) = (written("a.png"), written("a.tif"), written("a.jpg"));
+    assert!(png == tiff && png.dimensions() == (200, 200));
+    let difference = png.iter().zip(jpeg.iter()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>();
+    assert!(difference / png.len() as f64 < 12.0, "{difference}");
 }
 
 #[test]
