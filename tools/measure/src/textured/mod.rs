@@ -59,7 +59,7 @@ enum ImageKind {
     Png,
     /// Baseline.
     Jpeg,
-    /// Deflated strips; not for .glb.
+    /// Plain strips; not for .glb.
     Tiff,
 }
 

@@ -5,7 +5,6 @@ use image::{GenericImageView, Rgb};
 use rayon::prelude::*;
 use std::io::BufWriter;
 use std::path::Path;
-use tiff::encoder::compression::DeflateLevel;
 
 use crate::random::{mixed, noise, octaves};
 
@@ -75,8 +74,7 @@ pub fn write(paint: &dyn Paint, path: &Path) -> Result<()> {
             image::codecs::jpeg::JpegEncoder::new_with_quality(out, 95).encode_image(&Lazily(paint))?;
         }
         Some("tif") => {
-            let mut encoder = tiff::encoder::TiffEncoder::new(out)?
-                .with_compression(tiff::encoder::Compression::Deflate(DeflateLevel::Fast));
+            let mut encoder = tiff::encoder::TiffEncoder::new(out)?;
             let mut image = encoder.new_image::<tiff::encoder::colortype::RGB8>(size, size)?;
             image.rows_per_strip(BAND)?;
             (0..size).step_by(BAND as usize).try_for_each(|top| image.write_strip(&band(paint, top)))?;
