@@ -1,8 +1,9 @@
 //! Automatic charts: each connected part is laid out as one disc if its stretch allows, and is cut in two otherwise.
 
 use super::cut::open_to_disc;
+use super::divide::{Division, divide};
 use super::flatten::{Failure, flatten};
-use super::halve::halve;
+use super::halve::{ROUNDS, halve};
 use super::notch::fill_notches;
 use super::outline::overlaps;
 use super::piece::{NONE, Piece, components, partners};
@@ -46,11 +47,11 @@ pub struct ChartReport {
     pub cut_open: u32,
 }
 
-/// Weight of place against normals where a part is cut for its stretch, and where it lies on itself.
-const PLACE: [f64; 2] = [0.3, 3.0];
+/// Weight of place against normals where a part is cut for its stretch.
+const PLACE: f64 = 0.3;
 
-/// Notches of the border above this angle inside, in radians, are filled; the second where a layout lay on itself.
-const WIDE: [f64; 2] = [3.9, 3.4];
+/// Notches of the border above this angle inside, in radians, are filled.
+const WIDE: f64 = 3.9;
 
 /// Makes charts for a cluster. `key_of`: per triangle what charts must not mix. Coordinates are in the unit of the
 /// positions; the area of each chart is that of its triangles.
@@ -109,7 +110,7 @@ impl Builder<'_> {
         };
         let whole = Piece::new(part, &self.partner, point, &mut self.scratch);
         let failure = match self.try_piece(part, &whole, point) {
-            Ok(()) => return None,
+            Ok(rest) => return Some(rest),
             Err(failure) => failure,
         };
         *match failure {
@@ -118,14 +119,20 @@ impl Builder<'_> {
             Failure::Turned => &mut self.report.split_turned,
             Failure::Overlap => &mut self.report.split_overlapping,
         } += 1;
-        let half = halve(&whole, PLACE[usize::from(failure == Failure::Overlap)]);
+        let half = halve(&whole, PLACE, ROUNDS);
         part.iter().zip(half).for_each(|(&f, half)| self.label[f as usize] = u32::from(half));
         let local = components(&whole.partner, |t| self.label[part[t as usize] as usize]);
         assert!(local.len() > 1, "each half has a triangle");
         Some(local.into_iter().map(|p| p.into_iter().map(|t| part[t as usize]).collect()).collect())
     }
 
-    fn try_piece(&mut self, part: &[u32], whole: &Piece, point: impl Fn(u32, usize) -> DVec3) -> Result<(), Failure> {
+    /// Makes charts of `part`; returns parts to lay out once more where it lay on itself.
+    fn try_piece(
+        &mut self,
+        part: &[u32],
+        whole: &Piece,
+        point: impl Fn(u32, usize) -> DVec3,
+    ) -> Result<Vec<Vec<u32>>, Failure> {
         let opened = match whole.euler_characteristic() {
             1 => None,
             2 => return Err(Failure::NoDisc),
@@ -139,29 +146,37 @@ impl Builder<'_> {
             }
         };
         let disc = opened.as_ref().unwrap_or(whole);
-        let mut laid = self.lay_out(disc, WIDE[0]);
-        if matches!(laid, Err(Failure::Overlap)) {
-            laid = self.lay_out(disc, WIDE[1]).map_err(|_| Failure::Overlap);
+        let (uv, stretch) = flatten(&fill_notches(disc, WIDE), self.options.max_stretch)?;
+        if !overlaps(disc, &uv) {
+            self.report.cut_open += u32::from(opened.is_some());
+            return self.accept(disc, &uv, &stretch).map(|()| Vec::new());
         }
-        let (uv, stretch) = laid?;
-        for (&f, t) in disc.faces.iter().zip(&disc.triangles) {
-            self.charts.uv[f as usize] = t.map(|v| uv[v as usize]);
-            self.charts.chart_of[f as usize] = self.charts.count;
+        self.report.split_overlapping += 1;
+        let (done, mut rest) = divide(disc, &uv, self.options.max_stretch);
+        for Division { piece, uv, stretch } in done {
+            if self.accept(&piece, &uv, &stretch).is_err() {
+                rest.push(piece.faces);
+            }
         }
-        self.report.cut_open += u32::from(opened.is_some());
-        self.finish(&stretch);
-        Ok(())
+        Ok(rest)
     }
 
-    /// Coordinates of `disc`, without turned triangles, too much stretch or overlap.
-    fn lay_out(&self, disc: &Piece, wide: f64) -> Result<(Vec<[f32; 2]>, Stretch), Failure> {
-        let (uv, stretch) = flatten(&fill_notches(disc, wide), self.options.max_stretch)?;
-        let uv = to_single(&uv, &stretch);
+    /// Makes a chart of a disc at `uv`, unless rounding turns a triangle or lets it lie on itself.
+    fn accept(&mut self, disc: &Piece, uv: &[DVec2], stretch: &Stretch) -> Result<(), Failure> {
+        let uv = to_single(uv, stretch);
         if disc.triangles.iter().any(|t| signed_area2(&t.map(|v| uv[v as usize])) <= 0.0) {
             return Err(Failure::Turned);
         }
         let exact: Vec<DVec2> = uv.iter().map(|p| DVec2::from_array(p.map(f64::from))).collect();
-        if overlaps(disc, &exact) { Err(Failure::Overlap) } else { Ok((uv, stretch)) }
+        if overlaps(disc, &exact) {
+            return Err(Failure::Overlap);
+        }
+        for (&f, t) in disc.faces.iter().zip(&disc.triangles) {
+            self.charts.uv[f as usize] = t.map(|v| uv[v as usize]);
+            self.charts.chart_of[f as usize] = self.charts.count;
+        }
+        self.finish(stretch);
+        Ok(())
     }
 
     fn finish(&mut self, stretch: &Stretch) {

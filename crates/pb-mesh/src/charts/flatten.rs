@@ -3,6 +3,7 @@
 
 use super::hierarchy::{Hierarchy, Level, Removal};
 use super::notch::Disc;
+use super::piece::Piece;
 use super::relax::{Rest, Seen, energy_at, measure, step};
 use super::stretch::Stretch;
 use glam::{DVec2, DVec3};
@@ -39,7 +40,7 @@ pub(super) enum Failure {
 
 /// Coordinates per vertex of `disc`, all areas positive. `max_stretch`: of [`Stretch::l2`].
 pub(super) fn flatten(disc: &Disc, max_stretch: f64) -> Result<(Vec<DVec2>, Stretch), Failure> {
-    let unit = typical_edge(disc);
+    let unit = typical_edge(&disc.triangles, &disc.points);
     let hierarchy = Hierarchy::new(disc);
     let mut layout = Layout { points: &disc.points, unit, uv: vec![DVec2::ZERO; disc.points.len()], seen: Vec::new() };
     let coarsest = hierarchy.levels.len() - 1;
@@ -69,11 +70,24 @@ pub(super) fn flatten(disc: &Disc, max_stretch: f64) -> Result<(Vec<DVec2>, Stre
     Ok((layout.uv, stretch))
 }
 
+/// Stretch of each triangle of a piece at `uv`, all areas positive.
+pub(super) fn stretches(piece: &Piece, uv: &[DVec2]) -> Vec<Stretch> {
+    let unit = typical_edge(&piece.triangles, &piece.points);
+    let stretch = |t: &[u32; 3]| {
+        let rest = Rest::new(t.map(|v| piece.points[v as usize]), unit);
+        let (d, a) = measure(&rest, t.map(|v| uv[v as usize]));
+        let mut stretch = Stretch::default();
+        stretch.add(d, a, rest.area2);
+        stretch
+    };
+    piece.triangles.iter().map(stretch).collect()
+}
+
 /// Root of the mean triangle area, about an edge length; positive.
-fn typical_edge(disc: &Disc) -> f64 {
+fn typical_edge(triangles: &[[u32; 3]], points: &[DVec3]) -> f64 {
     let normal2 = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).length();
-    let area: f64 = disc.triangles.iter().map(|t| normal2(t.map(|v| disc.points[v as usize]))).sum();
-    (area / disc.triangles.len() as f64).sqrt().max(1e-30)
+    let area: f64 = triangles.iter().map(|t| normal2(t.map(|v| points[v as usize]))).sum();
+    (area / triangles.len() as f64).sqrt().max(1e-30)
 }
 
 /// Coordinates that are being found.

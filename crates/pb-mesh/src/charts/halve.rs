@@ -6,8 +6,8 @@ use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Rounds of growing both halves from new seeds.
-const ROUNDS: usize = 4;
+/// Rounds of growing both halves from new seeds, where they matter.
+pub(super) const ROUNDS: usize = 4;
 /// Rounds in which triangles change to the half that has most of their neighbours.
 const SMOOTHING: usize = 4;
 /// Rounds that average the normals of neighbours, against noise.
@@ -21,8 +21,8 @@ struct Proxy {
 }
 
 /// Half (0 or 1) of each triangle of a connected `piece` with two or more; both occur. `place`: weight of the distance,
-/// in radii of the piece, against the difference of unit normals.
-pub(super) fn halve(piece: &Piece, place: f64) -> Vec<u8> {
+/// in radii of the piece, against the difference of unit normals; `rounds`: of growing both halves from new seeds, 1 or more.
+pub(super) fn halve(piece: &Piece, place: f64, rounds: usize) -> Vec<u8> {
     let n = piece.triangles.len();
     let centres: Vec<DVec3> =
         piece.triangles.iter().map(|t| t.iter().map(|&v| piece.points[v as usize]).sum::<DVec3>() / 3.0).collect();
@@ -40,12 +40,12 @@ pub(super) fn halve(piece: &Piece, place: f64) -> Vec<u8> {
     let mut proxies = [at(first), at(farthest(&at(first)))];
     let mut seeds = [first, farthest(&at(first))];
     let mut half = Vec::new();
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         if seeds[0] == seeds[1] {
             seeds = [0, n - 1];
         }
         half = grow(piece, seeds, |t, k| distance(t, &proxies[k]));
-        if round + 1 == ROUNDS {
+        if round + 1 == rounds {
             break;
         }
         for k in 0..2 {

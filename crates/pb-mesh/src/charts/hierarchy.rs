@@ -207,19 +207,18 @@ impl Work<'_> {
         let ring: [DVec3; MAX_VALENCE + 1] =
             std::array::from_fn(|i| if i < k { self.points[self.ring[i] as usize] } else { DVec3::ZERO });
         let fans = if closed { k } else { k - 1 };
-        let normals: [DVec3; MAX_VALENCE] = std::array::from_fn(|i| match i {
-            i if i < fans => (ring[i] - p).cross(ring[(i + 1) % k] - p),
-            _ => DVec3::ZERO,
-        });
+        let mut normals = [(DVec3::ZERO, 0.0); MAX_VALENCE];
+        for (i, normal) in normals[..fans].iter_mut().enumerate() {
+            let cross = (ring[i] - p).cross(ring[if i + 1 == k { 0 } else { i + 1 }] - p);
+            *normal = (cross, cross.length());
+        }
         let mut best: Option<Choice> = None;
         for j in 0..k {
             if !closed && j != 0 && j != k - 1 {
                 continue;
             }
-            let cost = cost_of(&ring[..k], &normals[..fans], p, j);
-            if best.is_some_and(|b| b.0 <= cost) || !cost.is_finite() {
-                continue;
-            }
+            let least = best.map_or(f64::INFINITY, |b| b.0);
+            let Some(cost) = cost_of(&ring[..k], &normals[..fans], p, j, least) else { continue };
             if check && !self.is_legal(v, self.ring[j], closed) {
                 continue;
             }
@@ -246,27 +245,30 @@ impl Work<'_> {
     }
 }
 
-/// Height over the planes around `p`, and a little of the length; infinite where a triangle would turn too far.
-fn cost_of(ring: &[DVec3], normals: &[DVec3], p: DVec3, j: usize) -> f64 {
+/// Height over the planes around `p`, and a little of the length, where `p` goes to corner `j` of the ring; `None` where a
+/// triangle would turn too far, or where that is no less than `least`. `normals`: of the fans, and their lengths.
+fn cost_of(ring: &[DVec3], normals: &[(DVec3, f64)], p: DVec3, j: usize, least: f64) -> Option<f64> {
     let (k, u) = (ring.len(), ring[j]);
     let step = u - p;
     let length2 = step.length_squared();
     let mut cost = 0.0;
-    for (i, normal) in normals.iter().enumerate() {
-        let (a, b) = (ring[i], ring[(i + 1) % k]);
-        let size = normal.length();
-        if size > 0.0 {
-            let height = normal.dot(step) / size;
-            cost += size * height * height;
-        }
-        cost += LENGTH_WEIGHT * size * length2;
-        if i == j || (i + 1) % k == j {
+    for &(normal, size) in normals {
+        let height = normal.dot(step);
+        cost += if size > 0.0 { height * height / size } else { 0.0 } + LENGTH_WEIGHT * size * length2;
+    }
+    if !(cost < least) {
+        return None;
+    }
+    for (i, &(normal, size)) in normals.iter().enumerate() {
+        let next = if i + 1 == k { 0 } else { i + 1 };
+        if i == j || next == j || size == 0.0 {
             continue;
         }
-        let after = (a - u).cross(b - u);
-        if after.dot(*normal) <= MIN_TURN_COSINE * after.length() * size && size > 0.0 {
-            return f64::INFINITY;
+        let after = (ring[i] - u).cross(ring[next] - u);
+        let along = after.dot(normal);
+        if along <= 0.0 || along * along <= MIN_TURN_COSINE * MIN_TURN_COSINE * after.length_squared() * size * size {
+            return None;
         }
     }
-    cost
+    Some(cost)
 }

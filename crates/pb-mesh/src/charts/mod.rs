@@ -8,6 +8,7 @@
 
 mod auto;
 mod cut;
+mod divide;
 mod flatten;
 mod halve;
 mod hierarchy;

@@ -1,6 +1,7 @@
 //! Promises of charts, on generated surfaces.
 
 mod auto;
+mod divide;
 mod pack;
 mod shapes;
 mod source;

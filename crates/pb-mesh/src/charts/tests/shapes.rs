@@ -83,6 +83,14 @@ pub fn ring(n: [u32; 2]) -> Shape {
     grid(n, [true, false], |u, v| [(1.0 + v) * (TAU * u).cos(), (1.0 + v) * (TAU * u).sin(), 0.0])
 }
 
+/// A ramp that goes round `turns` times: seen from above it lies on itself.
+pub fn ramp(n: [u32; 2], turns: f32) -> Shape {
+    grid(n, [false; 2], |u, v| {
+        let (s, c) = (std::f32::consts::TAU * turns * u).sin_cos();
+        [(1.0 + v) * c, (1.0 + v) * s, 0.5 * turns * u]
+    })
+}
+
 /// A closed ball of eight bent triangles, each cut `n` times per side.
 pub fn ball(n: u32) -> Shape {
     let mut shape = Shape::default();
