@@ -3,9 +3,9 @@
 use crate::cli::BakeArgs;
 use crate::failure::{Failure, blame_input, blame_machine};
 use crate::progress::Progress;
-use crate::texturing::HelperSummary;
 use pb_bake::images::{ImageError, ImageSource, decode_all};
 use pb_bake::import::{self, InputReport};
+use pb_bake::xatlas::HelperSummary;
 use pb_lod::progressive_buffers::bake::BakeReport;
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::material::Material;

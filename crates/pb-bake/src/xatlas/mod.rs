@@ -6,6 +6,7 @@
 //! cluster by the built-in method. docs/xatlas-helper.md has the protocol.
 
 mod check;
+mod cluster;
 mod fault;
 mod find;
 mod overlap;
@@ -14,8 +15,9 @@ mod process;
 pub mod wire;
 
 pub use check::{AnswerFault, check};
+pub use cluster::{HelperCharts, HelperSummary, MAX_TOLD_FAULTS};
 pub use fault::HelperFault;
 pub use find::{Found, Helper, PROGRAM};
-pub use pool::{HelperReport, MAX_FIRST_FAULTS, MAX_HANGS, Pool, charts_with_helper};
+pub use pool::{MAX_HANGS, Pool};
 pub use process::{PROBE_LIMIT, Process};
 pub use wire::{Charts, Identity, Options, Request};

@@ -1,19 +1,16 @@
-//! Helpers for many clusters at once, and what happens to clusters that no helper can cut.
+//! Helpers for many clusters at once.
 
 use super::check::check;
 use super::fault::HelperFault;
 use super::find::Helper;
 use super::process::{PROBE_LIMIT, Process};
 use super::wire::{Charts, Request};
-use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// So many clusters may run out of time before the helper is not asked any more: a bake must end.
 pub const MAX_HANGS: usize = 4;
-/// Faults that a report keeps; all are counted.
-pub const MAX_FIRST_FAULTS: usize = 5;
 
 /// Running helpers, one for each thread that asks. All end with the pool.
 pub struct Pool {
@@ -61,47 +58,4 @@ impl Pool {
     fn give_up(&self, why: &impl ToString) {
         let _ = self.given_up.set(why.to_string());
     }
-}
-
-/// How many clusters the helper cut.
-#[derive(Debug, Default)]
-pub struct HelperReport {
-    /// Clusters with charts of the helper.
-    pub by_helper: usize,
-    /// Clusters that the built-in method cut instead.
-    pub by_fallback: usize,
-    /// The first clusters (by number) that the helper could not cut, and why; at most [`MAX_FIRST_FAULTS`].
-    pub first_faults: Vec<(usize, HelperFault)>,
-}
-
-/// Cuts all clusters, in parallel, each by the helper or, where that fails, by `fallback`, which gets the cluster's
-/// number too. Charts are in the order of the clusters. The time limit holds for each cluster.
-pub fn charts_with_helper<C: Sync, R: Send>(
-    pool: &Pool,
-    clusters: &[C],
-    limit: Duration,
-    request: impl Fn(&C) -> Request + Sync,
-    accept: impl Fn(Charts) -> R + Sync,
-    fallback: impl Fn(usize, &C) -> R + Sync,
-) -> (Vec<R>, HelperReport) {
-    let cut = |(number, cluster): (usize, &C)| match pool.charts(&request(cluster), limit) {
-        Ok(charts) => (accept(charts), None),
-        Err(fault) => (fallback(number, cluster), Some(fault)),
-    };
-    let all: Vec<(R, Option<HelperFault>)> = clusters.par_iter().enumerate().map(cut).collect();
-    let mut report = HelperReport::default();
-    let mut charts = Vec::with_capacity(all.len());
-    for (number, (one, fault)) in all.into_iter().enumerate() {
-        charts.push(one);
-        match fault {
-            None => report.by_helper += 1,
-            Some(fault) => {
-                report.by_fallback += 1;
-                if report.first_faults.len() < MAX_FIRST_FAULTS {
-                    report.first_faults.push((number, fault));
-                }
-            }
-        }
-    }
-    (charts, report)
 }

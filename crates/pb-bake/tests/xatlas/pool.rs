@@ -1,48 +1,63 @@
 //! Many clusters: those that the helper cannot cut are cut otherwise, and counted.
 
 use super::fake::{PATIENCE, SHORT, Workshop, charts, request};
-use pb_bake::xatlas::{HelperFault, HelperReport, MAX_FIRST_FAULTS, MAX_HANGS, Pool, charts_with_helper};
+use pb_bake::xatlas::{HelperCharts, HelperFault, HelperSummary, MAX_HANGS, MAX_TOLD_FAULTS, Pool};
+use pb_mesh::charts::ClusterSurface;
+use rayon::prelude::*;
 use std::time::Duration;
 
-/// Whether the helper cut each of `count` clusters, and the report.
-fn cut(pool: &Pool, count: usize, limit: Duration) -> (Vec<bool>, HelperReport) {
-    charts_with_helper(pool, &vec![(); count], limit, |_| request(), |c| c == charts(), |_, _| false)
+/// Whether a helper that runs `script` cut each of `count` clusters, and the summary.
+fn cut(script: &str, count: usize, limit: Duration) -> (Vec<bool>, HelperSummary) {
+    let workshop = Workshop::new();
+    let helper = HelperCharts::new(Pool::new(workshop.helper(script)), limit);
+    let request = request();
+    let surface = ClusterSurface { positions: &request.positions, triangles: &request.triangles };
+    let one = |_| match helper.charts(&surface) {
+        Some(found) => {
+            assert_eq!((found.chart_of, found.uv), (charts().chart_of, charts().uv));
+            assert_eq!((found.count as usize, found.mirrored), (1, vec![false]));
+            true
+        }
+        None => false,
+    };
+    let by_helper = (0..count).into_par_iter().map(one).collect();
+    (by_helper, helper.summary())
 }
 
 #[test]
 fn a_good_helper_cuts_all_clusters() {
-    let workshop = Workshop::new();
-    let pool = Pool::new(workshop.helper("hello; while answer; do :; done")).unwrap();
-    let (by_helper, report) = cut(&pool, 20, PATIENCE);
-    assert_eq!((by_helper, report.by_helper, report.by_fallback), (vec![true; 20], 20, 0));
-    assert!(report.first_faults.is_empty());
+    let (by_helper, summary) = cut("hello; while answer; do :; done", 20, PATIENCE);
+    assert_eq!(by_helper, vec![true; 20]);
+    assert_eq!(summary, HelperSummary { by_helper: 20, by_fallback: 0, faults: vec![] });
 }
 
 #[test]
 fn one_that_dies_after_each_cluster_is_started_again() {
-    let workshop = Workshop::new();
-    let pool = Pool::new(workshop.helper("hello; answer; head -c 9 > /dev/null; kill -9 $$")).unwrap();
-    let (by_helper, report) = cut(&pool, 12, PATIENCE);
-    assert_eq!(report.by_helper + report.by_fallback, 12);
-    assert!(report.by_helper > 0 && report.by_fallback > 0, "{report:?}");
-    assert_eq!(by_helper.iter().filter(|b| **b).count(), report.by_helper);
-    assert_eq!(report.first_faults.len(), report.by_fallback.min(MAX_FIRST_FAULTS));
-    for (number, fault) in &report.first_faults {
-        assert!(!by_helper[*number] && matches!(fault, HelperFault::Died { .. }), "{number}: {fault}");
-    }
+    let (by_helper, summary) = cut("hello; answer; head -c 9 > /dev/null; kill -9 $$", 12, PATIENCE);
+    assert_eq!(summary.by_helper + summary.by_fallback, 12);
+    assert!(summary.by_helper > 0 && summary.by_fallback > 0, "{summary:?}");
+    assert_eq!(by_helper.iter().filter(|b| **b).count() as u64, summary.by_helper);
+    assert!((1..=MAX_TOLD_FAULTS).contains(&summary.faults.len()), "{summary:?}");
+    assert!(summary.faults.iter().all(|fault| fault.contains("ended early")), "{summary:?}");
 }
 
 #[test]
 fn a_bake_does_not_wait_for_every_cluster_of_a_hanging_helper() {
+    let (_, summary) = cut("hello; exec sleep 600", 1000, SHORT / 3);
+    assert_eq!((summary.by_helper, summary.by_fallback), (0, 1000));
+    let told = |what: &str| summary.faults.iter().any(|fault| fault.contains(what));
+    assert!(told("gave no answer in") && told("is not asked any more"), "{summary:?}");
+    const { assert!(MAX_HANGS < 10) };
+}
+
+#[test]
+fn a_pool_that_has_given_up_says_why() {
     let workshop = Workshop::new();
     let pool = Pool::new(workshop.helper("hello; exec sleep 600")).unwrap();
-    let (_, report) = cut(&pool, 1000, SHORT / 3);
-    assert_eq!((report.by_helper, report.by_fallback), (0, 1000));
-    assert!(matches!(report.first_faults[0].1, HelperFault::TimedOut { .. } | HelperFault::GivenUp(_)));
+    (0..MAX_HANGS).for_each(|_| drop(pool.charts(&request(), SHORT / 3).unwrap_err()));
     assert!(
         matches!(pool.charts(&request(), SHORT), Err(HelperFault::GivenUp(why)) if why.contains("ran out of time"))
     );
-    const { assert!(MAX_HANGS < 10) };
 }
 
 #[test]
@@ -60,4 +75,6 @@ fn one_that_does_not_start_again_is_not_asked_again() {
 fn one_that_cannot_be_probed_makes_no_pool() {
     let workshop = Workshop::new();
     assert!(Pool::new(workshop.helper("exit 0")).is_err());
+    let (by_helper, summary) = cut("exit 0", 3, PATIENCE);
+    assert_eq!((by_helper, summary.by_fallback, summary.faults.len()), (vec![false; 3], 3, 1));
 }

@@ -3,9 +3,11 @@
 use super::fake::PATIENCE;
 use super::real::helper;
 use pb_bake::import::load;
-use pb_bake::xatlas::{Options, Pool, Request, charts_with_helper};
+use pb_bake::xatlas::{HelperCharts, Pool};
+use pb_mesh::charts::ClusterSurface;
 use pb_mesh::repair::{RepairOptions, repair};
 use pb_mesh::segment::segment;
+use rayon::prelude::*;
 use std::path::Path;
 use std::time::Instant;
 
@@ -17,23 +19,31 @@ fn scans_are_cut_without_a_fallback() {
         return;
     }
     let Some(helper) = helper() else { return };
-    let pool = Pool::new(helper).unwrap();
     for name in
         ["scan_gso_frypan/chefmate_8_frypan.obj", "cad_trimesh/1002_tray_bottom.STL", "cad_trimesh/quadknot.obj"]
     {
         let clusters = clusters(&folder.join(name));
         let triangles: usize = clusters.iter().map(|c| c.triangles.len()).sum();
         let start = Instant::now();
-        let (counts, report) =
-            charts_with_helper(&pool, &clusters, PATIENCE, Request::clone, |c| c.count as usize, |_, _| 0);
-        let (seconds, charts) = (start.elapsed().as_secs_f64(), counts.iter().sum::<usize>());
-        println!("{name}: {triangles} triangles, {} clusters, {charts} charts, {seconds:.2} s", clusters.len());
-        assert_eq!(report.by_fallback, 0, "{name}: {:?}", report.first_faults);
+        let charts = HelperCharts::new(Pool::new(helper.clone()), PATIENCE);
+        let count = |c: &Cluster| {
+            let surface = ClusterSurface { positions: &c.positions, triangles: &c.triangles };
+            charts.charts(&surface).map_or(0, |charts| charts.count)
+        };
+        let count: u32 = clusters.par_iter().map(count).sum();
+        let (seconds, summary) = (start.elapsed().as_secs_f64(), charts.summary());
+        println!("{name}: {triangles} triangles, {} clusters, {count} charts, {seconds:.2} s", clusters.len());
+        assert_eq!(summary.by_fallback, 0, "{name}: {summary:?}");
     }
 }
 
+struct Cluster {
+    positions: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+}
+
 /// The clusters of a repaired model, each around its own first vertex.
-fn clusters(path: &Path) -> Vec<Request> {
+fn clusters(path: &Path) -> Vec<Cluster> {
     let soup = load(&[path.to_owned()], &Default::default(), &|_| {}).unwrap().soup;
     let mesh = repair(soup, &RepairOptions::default()).unwrap().0;
     let corners: Vec<[u32; 3]> = (0..mesh.triangles.len()).map(|t| mesh.corner_positions(t)).collect();
@@ -46,12 +56,7 @@ fn clusters(path: &Path) -> Vec<Request> {
         let origin = mesh.positions[used[0] as usize];
         let place = |i: &u32| std::array::from_fn(|k| (mesh.positions[*i as usize][k] - origin[k]) as f32);
         let local = |t: &[u32; 3]| t.map(|i| used.binary_search(&i).unwrap() as u32);
-        Request {
-            time_limit_ms: PATIENCE.as_millis() as u32,
-            options: Options::default(),
-            positions: used.iter().map(place).collect(),
-            triangles: triangles.iter().map(local).collect(),
-        }
+        Cluster { positions: used.iter().map(place).collect(), triangles: triangles.iter().map(local).collect() }
     };
     (0..segmentation.len()).map(cluster).collect()
 }
