@@ -32,6 +32,10 @@ bench-pops *MODELS:
 bench-texture-memory *KINDS:
     tools/bench-texture-memory {{KINDS}}
 
+# charts of the built-in method beside those of xatlas: number, seams, fill, stretch, speed
+bench-charts *MESHES:
+    tools/bench-charts {{MESHES}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

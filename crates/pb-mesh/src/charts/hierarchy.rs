@@ -254,9 +254,10 @@ fn cost_of(ring: &[DVec3], normals: &[(DVec3, f64)], p: DVec3, j: usize, least: 
     let mut cost = 0.0;
     for &(normal, size) in normals {
         let height = normal.dot(step);
-        cost += if size > 0.0 { height * height / size } else { 0.0 } + LENGTH_WEIGHT * size * length2;
+        let planes = if size > 0.0 { height * height / size } else { 0.0 };
+        cost += planes + LENGTH_WEIGHT * size * length2;
     }
-    if !(cost < least) {
+    if cost.is_nan() || cost >= least {
         return None;
     }
     for (i, &(normal, size)) in normals.iter().enumerate() {
