@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::camera::Camera;
 use super::image::{linear_of_srgb, srgb_byte};
-use super::scene::{Scene, Triangle};
+use super::scene::{Blend, Scene, Triangle};
 
 /// What pb-view shows where nothing is, sRGB.
 pub const BACKGROUND: [u8; 3] = [38, 42, 48];
@@ -54,6 +54,8 @@ struct Seen {
     /// b x c, c x a, a x b, signed so that the determinant is positive.
     edges: [DVec3; 3],
     determinant: f64,
+    /// Its corners are seen clockwise.
+    from_behind: bool,
     /// First and last pixel, x and y.
     low: [usize; 2],
     high: [usize; 2],
@@ -113,7 +115,9 @@ fn grid_samples(n: usize) -> Vec<[f64; 2]> {
 fn see(triangle: u32, [a, b, c]: [DVec3; 3], size: [usize; 2]) -> Option<Seen> {
     let mut edges = [b.cross(c), c.cross(a), a.cross(b)];
     let mut determinant = a.dot(edges[0]);
-    if determinant < 0.0 {
+    // The axes of the camera (right, up, ahead) are left-handed.
+    let from_behind = determinant < 0.0;
+    if from_behind {
         edges = edges.map(|e| -e);
         determinant = -determinant;
     }
@@ -139,6 +143,7 @@ fn see(triangle: u32, [a, b, c]: [DVec3; 3], size: [usize; 2]) -> Option<Seen> {
         triangle,
         edges,
         determinant,
+        from_behind,
         low: [pixel(low[0], 0), pixel(low[1], 1)],
         high: [pixel(high[0], 0), pixel(high[1], 1)],
     })
@@ -164,6 +169,31 @@ fn wanted_grid(scene: &Scene, projected: &[DVec3], seen: &[Seen], size: [usize; 
     (texels_per_pixel.ceil() as usize).clamp(GRID.0, GRID.1)
 }
 
+/// What the samples of a pixel see.
+struct Found<'a> {
+    /// Depth and triangle.
+    nearest: &'a [(f64, u32)],
+    /// Sample, depth, triangle: what is looked through, by sample, far to near.
+    veils: &'a [(usize, f64, u32)],
+    /// Number of the first sample in `veils`.
+    first: usize,
+}
+
+impl Found<'_> {
+    fn veils(&self, sample: usize) -> &[(usize, f64, u32)] {
+        let before = |at: usize| self.veils.partition_point(|v| v.0 < self.first + at);
+        &self.veils[before(sample)..before(sample + 1)]
+    }
+
+    fn any(&self, sample: usize) -> bool {
+        self.nearest[sample].1 != NONE || !self.veils(sample).is_empty()
+    }
+
+    fn sees(&self, sample: usize, triangle: u32) -> bool {
+        self.nearest[sample].1 == triangle || self.veils(sample).iter().any(|v| v.2 == triangle)
+    }
+}
+
 struct Work<'a> {
     scene: &'a Scene,
     seen: &'a [Seen],
@@ -176,34 +206,58 @@ impl Work<'_> {
     fn tile(&self, left: usize, top: usize, bin: &[u32]) -> Vec<([u8; 3], u8)> {
         let n = self.samples.len();
         let mut nearest = vec![(f64::INFINITY, NONE); TILE * TILE * n];
-        for &index in bin {
-            let seen = &self.seen[index as usize];
-            let is_cut_out = self.cutoff(seen).is_some();
-            for y in seen.low[1].max(top)..=seen.high[1].min(top + TILE - 1) {
-                for x in seen.low[0].max(left)..=seen.high[0].min(left + TILE - 1) {
-                    let pixel = ((y - top) * TILE + x - left) * n;
-                    for (place, slot) in self.samples.iter().zip(&mut nearest[pixel..pixel + n]) {
-                        let Some((depth, w)) = seen.hit(self.ray(x, y, *place)) else { continue };
-                        if depth < slot.0 && !(is_cut_out && self.is_hole(seen, w)) {
-                            *slot = (depth, index);
-                        }
-                    }
+        let (blended, solid): (Vec<u32>, Vec<u32>) = bin.iter().partition(|i| self.blend(**i).is_some());
+        for &index in &solid {
+            let is_cut_out = self.cutoff(&self.seen[index as usize]).is_some();
+            self.hits(index, left, top, |at, depth, w| {
+                let slot = &mut nearest[at];
+                if depth < slot.0 && !(is_cut_out && self.is_hole(&self.seen[index as usize], w)) {
+                    *slot = (depth, index);
                 }
-            }
+            });
         }
+        // By sample: what is looked through, with its depth.
+        let mut veils: Vec<(usize, f64, u32)> = Vec::new();
+        for &index in &blended {
+            let culled = self.blend(index) == Some(Blend::Front) && self.seen[index as usize].from_behind;
+            self.hits(index, left, top, |at, depth, _| {
+                if !culled && depth < nearest[at].0 {
+                    veils.push((at, depth, index));
+                }
+            });
+        }
+        veils.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
         (0..TILE * TILE)
             .map(|i| {
-                let found = &nearest[i * n..(i + 1) * n];
-                if found.iter().all(|f| f.1 == NONE) {
+                let samples = i * n..(i + 1) * n;
+                let before = |at: usize| veils.partition_point(|v| v.0 < at);
+                let veils = &veils[before(samples.start)..before(samples.end)];
+                let found = Found { nearest: &nearest[samples.clone()], veils, first: samples.start };
+                if found.nearest.iter().all(|f| f.1 == NONE) && veils.is_empty() {
                     return (BACKGROUND, 0);
                 }
                 let (light, share) = match self.options.filter {
-                    Filter::Exact => self.exact(left + i % TILE, top + i / TILE, found),
-                    Filter::Trilinear => self.trilinear(left + i % TILE, top + i / TILE, found),
+                    Filter::Exact => self.exact(left + i % TILE, top + i / TILE, &found),
+                    Filter::Trilinear => self.trilinear(left + i % TILE, top + i / TILE, &found),
                 };
                 (over_background(light, share), (share * 255.0).round() as u8)
             })
             .collect()
+    }
+
+    /// Calls `hit` with the samples of a square that see a triangle: number, depth, barycentric coordinates.
+    fn hits(&self, index: u32, left: usize, top: usize, mut hit: impl FnMut(usize, f64, [f64; 3])) {
+        let seen = &self.seen[index as usize];
+        for y in seen.low[1].max(top)..=seen.high[1].min(top + TILE - 1) {
+            for x in seen.low[0].max(left)..=seen.high[0].min(left + TILE - 1) {
+                let pixel = ((y - top) * TILE + x - left) * self.samples.len();
+                for (i, place) in self.samples.iter().enumerate() {
+                    if let Some((depth, w)) = seen.hit(self.ray(x, y, *place)) {
+                        hit(pixel + i, depth, w);
+                    }
+                }
+            }
+        }
     }
 
     fn ray(&self, x: usize, y: usize, place: [f64; 2]) -> DVec3 {
@@ -212,36 +266,61 @@ impl Work<'_> {
     }
 
     /// Mean light of all samples that hit the model; edges as the adapter's four samples see them.
-    fn exact(&self, x: usize, y: usize, found: &[(f64, u32)]) -> ([f32; 3], f32) {
-        let (mut light, mut count) = ([0.0; 3], 0.0f32);
-        for (place, (_, index)) in self.samples.iter().zip(found).filter(|(_, f)| f.1 != NONE) {
-            let seen = &self.seen[*index as usize];
-            let color = self.color(seen, seen.on_plane(self.ray(x, y, *place)), None);
-            (0..3).for_each(|k| light[k] += color[k]);
-            count += 1.0;
-        }
-        (light.map(|c| c / count), found[..4].iter().filter(|f| f.1 != NONE).count() as f32 / 4.0)
+    fn exact(&self, x: usize, y: usize, found: &Found) -> ([f32; 3], f32) {
+        self.mean(found, 0..self.samples.len(), |index, sample| {
+            let seen = &self.seen[index as usize];
+            self.color(seen, seen.on_plane(self.ray(x, y, self.samples[sample])), None)
+        })
     }
 
     /// Each triangle that one of the four samples sees gives the colour at the pixel's centre, or, where it does not
     /// reach that, at the middle of its samples.
-    fn trilinear(&self, x: usize, y: usize, found: &[(f64, u32)]) -> ([f32; 3], f32) {
-        let (mut light, mut count) = ([0.0; 3], 0.0f32);
-        for i in (0..4).filter(|&i| found[i].1 != NONE) {
-            let same = |j: &usize| found[*j].1 == found[i].1;
-            let seen = &self.seen[found[i].1 as usize];
+    fn trilinear(&self, x: usize, y: usize, found: &Found) -> ([f32; 3], f32) {
+        self.mean(found, 0..4, |index, _| {
+            let seen = &self.seen[index as usize];
             let place = if seen.hit(self.ray(x, y, [0.5; 2])).is_some() {
                 [0.5; 2]
             } else {
-                let of: Vec<[f64; 2]> = (0..4).filter(same).map(|j| FOUR[j]).collect();
+                let of: Vec<[f64; 2]> = (0..4).filter(|&j| found.sees(j, index)).map(|j| FOUR[j]).collect();
                 [0, 1].map(|k| of.iter().map(|p| p[k]).sum::<f64>() / of.len() as f64)
             };
             let at = |dx: f64, dy: f64| seen.on_plane(self.ray(x, y, [place[0] + dx, place[1] + dy]));
-            let color = self.color(seen, at(0.0, 0.0), Some([at(1.0, 0.0), at(0.0, 1.0)]));
-            (0..3).for_each(|k| light[k] += color[k]);
+            self.color(seen, at(0.0, 0.0), Some([at(1.0, 0.0), at(0.0, 1.0)]))
+        })
+    }
+
+    /// Mean light of those samples that see anything, and the share of the first four that do. `color`: of a triangle at
+    /// a sample.
+    fn mean(
+        &self,
+        found: &Found,
+        samples: std::ops::Range<usize>,
+        color: impl Fn(u32, usize) -> [f32; 4],
+    ) -> ([f32; 3], f32) {
+        let (mut light, mut count) = ([0.0; 3], 0.0f32);
+        for sample in samples.filter(|&s| found.any(s)) {
+            let behind = match found.nearest[sample].1 {
+                NONE => background(),
+                index => {
+                    let [r, g, b, _] = color(index, sample);
+                    [r, g, b]
+                }
+            };
+            let through = |behind: [f32; 3], veil: &(usize, f64, u32)| {
+                let c = color(veil.2, sample);
+                let alpha = c[3].clamp(0.0, 1.0);
+                [0, 1, 2].map(|k| behind[k] + (c[k] - behind[k]) * alpha)
+            };
+            let seen = found.veils(sample).iter().fold(behind, through);
+            (0..3).for_each(|k| light[k] += seen[k]);
             count += 1.0;
         }
-        (light.map(|c| c / count.max(1.0)), count / 4.0)
+        let share = (0..4).filter(|&s| found.any(s)).count() as f32 / 4.0;
+        (light.map(|c| c / count.max(1.0)), share)
+    }
+
+    fn blend(&self, index: u32) -> Option<Blend> {
+        self.scene.materials[self.triangle(&self.seen[index as usize]).material as usize].blend
     }
 
     fn triangle(&self, seen: &Seen) -> &Triangle {
@@ -282,6 +361,11 @@ impl Work<'_> {
 }
 
 fn over_background(light: [f32; 3], share: f32) -> [u8; 3] {
-    let behind = BACKGROUND.map(|c| linear_of_srgb(f64::from(c) / 255.0) as f32);
+    let behind = background();
     std::array::from_fn(|k| srgb_byte(light[k].min(1.0) * share + behind[k] * (1.0 - share)))
+}
+
+/// Linear light.
+fn background() -> [f32; 3] {
+    BACKGROUND.map(|c| linear_of_srgb(f64::from(c) / 255.0) as f32)
 }

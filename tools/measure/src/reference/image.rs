@@ -49,6 +49,25 @@ impl Image {
         Image::decode(&bytes).with_context(|| path.display().to_string())
     }
 
+    /// What stands in the place of an image that cannot be read, as the user guide says: a checker of 8 x 8 fields, magenta
+    /// and black, 8 texels wide each.
+    pub fn or_missing(read: Result<Image>) -> Image {
+        read.unwrap_or_else(|e| {
+            eprintln!("pb-measure: warning: {e:#}; a magenta checker stands in its place");
+            let dark = |i: usize| (i % 64 / 8 + i / 512) % 2 == 1;
+            let texel = |i: usize| if dark(i) { [0, 0, 0, 255] } else { [255, 0, 255, 255] };
+            Image::new(64, Texels::Bytes((0..64 * 64).map(texel).collect()))
+        })
+    }
+
+    fn new(width: usize, texels: Texels) -> Image {
+        let count = match &texels {
+            Texels::Bytes(t) => t.len(),
+            Texels::Floats(t) => t.len(),
+        };
+        Image { width, height: count / width, texels, mips: Vec::new() }
+    }
+
     /// The same from memory.
     pub fn decode(bytes: &[u8]) -> Result<Image> {
         if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
@@ -60,7 +79,7 @@ impl Image {
     }
 
     fn of(decoded: DynamicImage) -> Image {
-        let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+        let width = decoded.width() as usize;
         let is_deep = decoded.color().bytes_per_pixel() > 2 * u8::from(decoded.color().has_alpha())
             && decoded.color().bits_per_pixel() / u16::from(decoded.color().channel_count()) > 8;
         let texels = match decoded {
@@ -74,13 +93,13 @@ impl Image {
             }
             _ => Texels::Bytes(decoded.into_rgba8().pixels().map(|p| p.0).collect()),
         };
-        Image { width, height, texels, mips: Vec::new() }
+        Image::new(width, texels)
     }
 
     /// From sRGB bytes and alpha, rows from the top.
     #[cfg(test)]
     pub fn from_bytes(width: usize, texels: Vec<[u8; 4]>) -> Image {
-        Image { width, height: texels.len() / width, texels: Texels::Bytes(texels), mips: Vec::new() }
+        Image::new(width, Texels::Bytes(texels))
     }
 
     fn texel(&self, at: usize) -> [f32; 4] {
@@ -206,7 +225,7 @@ fn decode_exr(bytes: &[u8]) -> Result<Image> {
     let [r, g, b] = [r, g, b].map(|c| c.sample_data.values_as_f32().collect::<Vec<_>>());
     let alpha = alpha.map(|c| c.sample_data.values_as_f32().collect::<Vec<_>>());
     let texels = (0..r.len()).map(|i| [r[i], g[i], b[i], alpha.as_ref().map_or(1.0, |a| a[i])]).collect();
-    Ok(Image { width: layer.size.width(), height: layer.size.height(), texels: Texels::Floats(texels), mips: vec![] })
+    Ok(Image::new(layer.size.width(), Texels::Floats(texels)))
 }
 
 #[cfg(test)]

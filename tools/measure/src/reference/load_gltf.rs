@@ -12,10 +12,7 @@ use gltf::{Accessor, Gltf, Node, Primitive, Semantic};
 use std::path::Path;
 
 use super::image::Image;
-use super::scene::{Material, Scene, Triangle, Wrap};
-
-/// What blended surfaces are cut at.
-const BLEND_CUTOFF: f32 = 0.5;
+use super::scene::{Blend, Material, Scene, Triangle, Wrap};
 
 /// A base colour: how it looks, and which coordinates it is looked up with.
 struct BaseColor {
@@ -32,7 +29,7 @@ pub fn load(path: &Path) -> Result<Scene> {
     let buffers = gltf::import_buffers(&document, Some(folder), blob)?;
     let mut scene = Scene::default();
     for image in document.images() {
-        scene.images.push(open_image(image.source(), folder, &buffers)?);
+        scene.images.push(Image::or_missing(open_image(image.source(), folder, &buffers)));
     }
     let base: Vec<BaseColor> = document.materials().map(|m| base_color(&m)).collect();
     scene.materials = base.iter().map(|b| b.material.clone()).collect();
@@ -113,11 +110,12 @@ fn base_color(material: &gltf::Material) -> BaseColor {
     };
     let mut out =
         BaseColor { material: Material::plain(None, factor), uv_set: 0, transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] };
-    out.material.cutoff = match material.alpha_mode() {
-        AlphaMode::Opaque => None,
-        AlphaMode::Mask => Some(material.alpha_cutoff().unwrap_or(0.5)),
-        AlphaMode::Blend => Some(BLEND_CUTOFF),
-    };
+    match material.alpha_mode() {
+        AlphaMode::Opaque => {}
+        AlphaMode::Mask => out.material.cutoff = Some(material.alpha_cutoff().unwrap_or(0.5)),
+        AlphaMode::Blend if material.double_sided() => out.material.blend = Some(Blend::Both),
+        AlphaMode::Blend => out.material.blend = Some(Blend::Front),
+    }
     let Some(info) = info else { return out };
     let (texture, sampler) = (info.texture(), info.texture().sampler());
     let wrap = |mode| match mode {
@@ -162,7 +160,10 @@ fn add(primitive: &Primitive, world: DMat4, base: &[BaseColor], buffers: &[Data]
         Some((list, false)) => [0, 1, 2, 3].map(|k| if k == 3 { 1.0 } else { list[i as usize][k] as f32 }),
         None => [1.0; 4],
     };
-    for t in triangles(primitive.mode(), &order) {
+    for mut t in triangles(primitive.mode(), &order) {
+        if world.determinant() < 0.0 {
+            t.swap(1, 2);
+        }
         ensure!(t.iter().all(|&i| (i as usize) < positions.len()), "a vertex index is out of range");
         let material = material.unwrap_or(base.len()) as u32;
         scene.triangles.push(Triangle { corners: t.map(|i| first + i), uv: t.map(uv_of), material });

@@ -21,7 +21,7 @@ pub fn load(path: &Path) -> Result<Scene> {
     });
     let mut scene = Scene::default();
     for material in &materials {
-        let image = material.diffuse_texture.as_ref().and_then(|name| image_of(path, name, &mut scene.images));
+        let image = material.diffuse_texture.as_ref().map(|name| image_of(path, name, &mut scene.images));
         let kd = material.diffuse.filter(|kd| !DEFAULT_DIFFUSE.iter().any(|d| *kd == [*d; 3])).unwrap_or([1.0; 3]);
         let factor = if image.is_some() { [1.0; 3] } else { kd };
         let [r, g, b] = factor.map(|c| linear_of_srgb(c.clamp(0.0, 1.0)) as f32);
@@ -62,17 +62,9 @@ fn add(mesh: &tobj::Mesh, has_colors: bool, scene: &mut Scene) {
 }
 
 /// The image that an MTL names: without its options, slashes of any kind, beside the OBJ.
-fn image_of(obj: &Path, name: &str, images: &mut Vec<Image>) -> Option<usize> {
+fn image_of(obj: &Path, name: &str, images: &mut Vec<Image>) -> usize {
     let name = name.trim().replace('\\', "/");
     let folder = obj.parent().unwrap_or(Path::new("."));
-    match Image::open(&folder.join(&name)) {
-        Ok(image) => {
-            images.push(image);
-            Some(images.len() - 1)
-        }
-        Err(e) => {
-            eprintln!("pb-measure: warning: {e:#}; drawn white");
-            None
-        }
-    }
+    images.push(Image::or_missing(Image::open(&folder.join(&name))));
+    images.len() - 1
 }

@@ -31,12 +31,22 @@ pub struct Material {
     pub nearest: bool,
     /// Points with less alpha are holes.
     pub cutoff: Option<f32>,
+    /// Light from behind comes through as alpha says; of which side of the surface.
+    pub blend: Option<Blend>,
+}
+
+/// Which sides of a surface that is blended are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blend {
+    /// Those that see their corners counter-clockwise.
+    Front,
+    Both,
 }
 
 impl Material {
     /// Opaque, repeated.
     pub fn plain(image: Option<usize>, factor: [f32; 4]) -> Material {
-        Material { image, factor, wrap: [Wrap::Repeat; 2], nearest: false, cutoff: None }
+        Material { image, factor, wrap: [Wrap::Repeat; 2], nearest: false, cutoff: None, blend: None }
     }
 }
 

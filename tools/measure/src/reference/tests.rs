@@ -2,7 +2,7 @@ use glam::DVec3;
 
 use super::camera::Camera;
 use super::image::Image;
-use super::scene::{Material, Scene, Triangle, Wrap};
+use super::scene::{Blend, Material, Scene, Triangle, Wrap};
 use super::*;
 
 /// A unit square at z = 0 with an image on it, upper left corner at (0, 1).
@@ -136,4 +136,47 @@ fn an_obj_with_its_image_is_read_the_right_way_up() {
     let drawn = draw(&scene, &before(1.0, [4, 4]), &options(4, Filter::Exact));
     let (first, last) = (drawn.pixels[0], drawn.pixels[15]);
     assert!(first[0] > 180 && first[1] < 90 && last[1] > 180 && last[0] < 90, "{first:?} {last:?}");
+}
+
+#[test]
+fn what_is_blended_is_mixed_far_to_near_and_seen_from_its_front_alone() {
+    let mut scene = square(Image::from_bytes(1, vec![[255, 255, 255, 255]]));
+    let (red, blue) = ([1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.25]);
+    for (z, factor) in [(0.2, red), (0.1, blue)] {
+        let first = scene.positions.len() as u32;
+        let more: Vec<DVec3> = scene.positions[..4].iter().map(|p| *p + DVec3::Z * z).collect();
+        scene.positions.extend(more);
+        let material = scene.materials.len() as u32;
+        for t in 0..2 {
+            let t = scene.triangles[t];
+            scene.triangles.push(Triangle { corners: t.corners.map(|i| first + i), material, ..t });
+        }
+        scene.materials.push(Material { blend: Some(Blend::Front), ..Material::plain(None, factor) });
+    }
+    let mixed = [0.5 + 0.5 * 0.75, 0.5 * 0.75, 0.5].map(image::srgb_byte);
+    for filter in [Filter::Exact, Filter::Trilinear] {
+        scene.images[0].make_mips();
+        let front = draw(&scene, &before(1.2, [4, 4]), &options(4, filter));
+        assert!(front.pixels.iter().all(|p| *p == mixed), "{filter:?}: {:?}", front.pixels);
+    }
+    // Without the white square: from the front over the background, from behind nothing at all.
+    scene.triangles.drain(..2);
+    let front = draw(&scene, &before(1.2, [4, 4]), &options(4, Filter::Exact));
+    assert!(front.coverage.iter().all(|c| *c == 255) && front.pixels[0][0] > 180, "{:?}", front.pixels);
+    let center = DVec3::new(0.5, 0.5, 0.0);
+    let back = Camera::new(center - DVec3::Z, center, DVec3::Y, 60.0, [4, 4]);
+    let seen_from_behind = |scene: &Scene| draw(scene, &back, &options(4, Filter::Exact)).coverage[5];
+    assert_eq!(seen_from_behind(&scene), 0);
+    scene.materials[1].blend = Some(Blend::Both);
+    assert_eq!(seen_from_behind(&scene), 255);
+}
+
+#[test]
+fn an_image_that_is_not_there_is_a_magenta_checker() {
+    let image = Image::or_missing(Err(anyhow::anyhow!("missing")));
+    let at = |x: f64, y: f64| image.nearest([x / 64.0, y / 64.0], [Wrap::Repeat; 2]);
+    assert_eq!((image.width, image.height), (64, 64));
+    let (magenta, black) = ([1.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]);
+    assert_eq!([at(0.5, 0.5), at(7.5, 7.5), at(8.5, 8.5)], [magenta; 3]);
+    assert_eq!([at(8.5, 0.5), at(0.5, 8.5), at(63.5, 0.5)], [black; 3]);
 }
