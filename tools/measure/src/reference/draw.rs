@@ -19,6 +19,8 @@ const FOUR: [[f64; 2]; 4] = [[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.
 const TILE: usize = 16;
 /// Fewest and most samples along the side of a pixel where the number follows the texture.
 const GRID: (usize, usize) = (4, 16);
+/// Depths that differ by this share are equal.
+const EDGE: f64 = 1e-9;
 /// No triangle.
 const NONE: u32 = u32::MAX;
 
@@ -227,6 +229,9 @@ impl Work<'_> {
             });
         }
         veils.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+        // On an edge two triangles are one surface.
+        let material = |v: &(usize, f64, u32)| self.triangle(&self.seen[v.2 as usize]).material;
+        veils.dedup_by(|b, a| a.0 == b.0 && (a.1 - b.1).abs() <= EDGE * a.1 && material(a) == material(b));
         (0..TILE * TILE)
             .map(|i| {
                 let samples = i * n..(i + 1) * n;
