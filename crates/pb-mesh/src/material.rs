@@ -81,6 +81,9 @@ pub struct Material {
     pub occlusion_strength: f32,
     /// Texels with less alpha are holes (cut-out); `None`: opaque, alpha is ignored.
     pub alpha_cutoff: Option<f32>,
+    /// What is behind shows through as alpha says, approximately (see [`texture::veil`](crate::texture::veil)); only with
+    /// a cutoff.
+    pub is_blended: bool,
     /// By [`Slot`], in the order of [`Slot::ALL`].
     pub textures: [Option<TextureRef>; 5],
 }
@@ -103,6 +106,7 @@ impl Default for Material {
             normal_scale: 1.0,
             occlusion_strength: 1.0,
             alpha_cutoff: None,
+            is_blended: false,
             textures: [None; 5],
         }
     }

@@ -119,6 +119,7 @@ impl Pipelines {
             immediate_size: 0,
         });
         let mut constants = vec![("cutouts", tiles.is_some_and(|t| t.cutouts) as u32 as f64)];
+        constants.push(("samples", picture.samples as u32 as f64));
         constants.extend(tiles.map(|t| ("object_normals", t.object_normals() as u32 as f64)));
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;

@@ -218,7 +218,7 @@ fn gltf_materials_are_read_whole() {
 }
 
 #[test]
-fn gltf_blending_becomes_a_cut_out_and_even_glass_stays() {
+fn gltf_blending_becomes_a_cut_out_in_quarters_unless_it_is_opaque() {
     let texture = json!({ "index": 0 });
     let material = |factor: f64, texture: Value| {
         json!({
@@ -227,11 +227,12 @@ fn gltf_blending_becomes_a_cut_out_and_even_glass_stays() {
             "emissiveTexture": { "index": 0 },
         })
     };
-    for (factor, texture, cutoff) in
-        [(1.0, texture.clone(), Some(0.5)), (0.5, texture, Some(0.25)), (0.25, Value::Null, None)]
+    for (factor, texture, blended) in
+        [(1.0, texture.clone(), true), (0.5, texture, true), (0.25, Value::Null, true), (1.0, Value::Null, false)]
     {
         let (model, warnings) = gltf(json!({ "materials": [material(factor, texture)] }));
-        assert_eq!(model.materials[0].alpha_cutoff, cutoff);
+        let found = &model.materials[0];
+        assert_eq!((found.is_blended, found.alpha_cutoff.is_some()), (blended, blended), "{factor}");
         assert_eq!(warnings.iter().filter(|w| w.contains("cut-out")).count(), 1);
     }
 }

@@ -7,6 +7,7 @@ use super::mips::{Mips, coarser};
 use super::normal::{Derivatives, in_tile, perturbed};
 use super::raster::Grid;
 use super::sample::{Footprint, Light, Rim, Sampler};
+use super::veil;
 use crate::charts::tile_area2;
 use crate::material::{Material, Slot, TextureRef};
 use glam::{DMat2, DVec2, DVec3, Vec3, Vec4};
@@ -389,7 +390,11 @@ impl Patch<'_> {
                 a * u + b * v + c * w
             };
         }
-        value.with_w(self.material.alpha_cutoff.map_or(1.0, |cutoff| centred_alpha(value.w, cutoff)))
+        value.with_w(match self.material.alpha_cutoff {
+            None => 1.0,
+            Some(_) if self.material.is_blended => veil::stored(value.w),
+            Some(cutoff) => centred_alpha(value.w, cutoff),
+        })
     }
 
     fn normal(&self, weights: [f64; 3], rim: &[[DVec2; 2]]) -> Vec3 {

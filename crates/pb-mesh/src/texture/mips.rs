@@ -5,6 +5,7 @@
 
 use super::color::{Coding, Texels, to_unorm};
 use super::coverage::{Coverage, Level, MIN_SIZE, NOBODY, NONE, neighbours};
+use super::veil::is_partial;
 use glam::Vec4;
 use std::ops::Deref;
 
@@ -185,6 +186,7 @@ fn resolved(level: &Level, coding: Coding, parts: &Parts, seen: Option<f32>) -> 
     let gain = seen.map(|seen| alpha_gain(owned(), seen));
     let mut texels = Texels::zeros(coding, level.owner.len());
     for (texel, _, value) in owned() {
+        let gain = gain.filter(|_| !is_partial(value.w));
         let alpha = gain.map_or(value.w, |gain| (value.w * gain).min(1.0));
         texels.set(coding, texel as usize, value.with_w(alpha));
     }
@@ -214,7 +216,8 @@ fn seen_part(coverage: &Coverage, coding: Coding, finest: &Texels) -> Option<f32
 /// What alpha is multiplied with so that the wanted part of the area is seen (Castaño 2010, "Computing alpha mipmaps").
 fn alpha_gain(owned: impl Iterator<Item = (u32, f32, Vec4)>, seen: f32) -> f32 {
     let mut area = [0.0f32; 256];
-    owned.for_each(|(_, weight, value)| area[usize::from(to_unorm(value.w))] += weight);
+    let alpha = |value: &Vec4| if is_partial(value.w) { 1.0 } else { value.w };
+    owned.for_each(|(_, weight, value)| area[usize::from(to_unorm(alpha(&value)))] += weight);
     let wanted = area.iter().sum::<f32>() * seen;
     let mut above = 0.0;
     for alpha in (1..=255).rev() {

@@ -15,6 +15,7 @@ mod mips;
 mod normal;
 mod raster;
 mod sample;
+pub mod veil;
 #[cfg(test)]
 mod tests;
 

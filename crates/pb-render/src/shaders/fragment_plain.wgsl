@@ -1,5 +1,5 @@
 // Entry point where the adapter has no primitive index: a triangle is named by one of its vertices.
 @fragment
-fn fs_main(f: Fragment, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+fn fs_main(f: Fragment, @builtin(front_facing) front: bool) -> Shown {
     return shaded(f, front, f.vertex);
 }

@@ -1,8 +1,33 @@
 // Light and colour of a fragment. Needs surface.wgsl and what follows it before.
 
-// Fragments with less alpha are holes.
+// Fragments with less alpha than the first are holes; with every step another of a pixel's four samples is covered, as
+// pb-mesh's texture/veil.rs stores it.
 override cutouts: bool = false;
 const HOLE_ALPHA = 0.5;
+const VEIL_STEP = 0.06;
+// Of a pixel, 1 or 4.
+override samples: u32 = 4u;
+
+struct Shown {
+    @location(0) color: vec4<f32>,
+    @builtin(sample_mask) samples: u32,
+}
+
+// Which samples a surface covers that alpha makes a screen door of. Its two sides cover different ones, so that of glass
+// both are seen. With one sample, pixels of 2 x 2 take the samples' place.
+fn covered_samples(alpha: f32, front: bool, pixel: vec2<f32>) -> u32 {
+    if alpha < HOLE_ALPHA {
+        return 0u;
+    }
+    let more = min(u32((alpha - HOLE_ALPHA) / VEIL_STEP), 3u);
+    let some = (2u << more) - 1u;
+    let mask = select(((some << 1u) | (some >> 3u)) & 15u, some, front);
+    if samples > 1u {
+        return mask;
+    }
+    let place = vec2<u32>(pixel) & vec2<u32>(1u);
+    return (mask >> (place.x * 2u + (place.x ^ place.y))) & 1u;
+}
 
 const SHADED = 0u;
 const LEVEL = 1u;
@@ -142,11 +167,20 @@ fn in_false_color(s: Surface, color: vec3<f32>, over_texture: bool) -> Surface {
     return out;
 }
 
-fn shaded(f: Fragment, front: bool, triangle: u32) -> vec4<f32> {
-    var s = surface_of(f);
-    if cutouts && s.alpha < HOLE_ALPHA {
-        discard;
+fn shaded(f: Fragment, front: bool, triangle: u32) -> Shown {
+    let s = surface_of(f);
+    var mask = 15u;
+    if cutouts {
+        mask = covered_samples(s.alpha, front, f.clip.xy);
+        if mask == 0u {
+            discard;
+        }
     }
+    return Shown(color_shown(f, front, triangle, s), mask);
+}
+
+fn color_shown(f: Fragment, front: bool, triangle: u32, surface: Surface) -> vec4<f32> {
+    var s = surface;
     if view.show_back_faces != 0u && from_behind(f, front, 0.25) {
         return vec4<f32>(1.0, 0.0, 1.0, 1.0);
     }

@@ -12,8 +12,8 @@ use crate::images::ImageSource;
 use pb_mesh::material::{Material, Slot, TextureRef, Wrap};
 use serde_json::Value;
 
-/// Alpha below which texels of blended materials are holes, of the factor's alpha.
-const BLEND_CUTOFF: f32 = 0.5;
+/// Alpha below which blended materials are invisible.
+const BLEND_CUTOFF: f32 = 1.0 / 16.0;
 /// What `alphaCutoff` is unless given.
 const MASK_CUTOFF: f32 = 0.5;
 /// Samplers: the codes of OpenGL.
@@ -110,6 +110,7 @@ impl Reader<'_, '_> {
         let emission = numbers::<3>(&value["emissiveFactor"]).unwrap_or_default();
         material.emissive = emission.map(|x| (x as f32 * strength).max(0.0));
         material.alpha_cutoff = self.cutoff(value, &material);
+        material.is_blended = material.alpha_cutoff.is_some() && value["alphaMode"] == "BLEND";
         material
     }
 
@@ -118,10 +119,9 @@ impl Reader<'_, '_> {
         match value["alphaMode"].as_str() {
             Some("MASK") => Some(number(&value["alphaCutoff"], MASK_CUTOFF)),
             Some("BLEND") => {
-                self.warnings.add("blended transparency is drawn as cut-out");
-                // Evenly transparent glass stays; only the image cuts holes.
-                let even = color(value)[3].clamp(0.0, 1.0) as f32;
-                material.texture(Slot::BaseColor).map(|_| BLEND_CUTOFF * even)
+                self.warnings.add("blended transparency is drawn as cut-out, in steps of a quarter");
+                let is_opaque = color(value)[3] >= 1.0 && material.texture(Slot::BaseColor).is_none();
+                (!is_opaque).then_some(BLEND_CUTOFF)
             }
             _ => None,
         }

@@ -18,6 +18,8 @@ const TEXEL_PERCENTILE: f64 = 0.95;
 const MIN_SCALE: f32 = 0.85;
 /// The same where nothing but normals asks for texels.
 const MIN_NORMAL_SCALE: f32 = 0.7;
+/// New charts are this much denser than asked for, where the tile has room for it: resampling blurs less so.
+const MAX_FILLING: f32 = 2.0;
 /// Texels of new charts per texel of the source, at most.
 const MAX_OVERSAMPLING: f64 = 1.25;
 /// Tiles of fewer texels than this are made denser than their source, which keeps resampling from blurring them.
@@ -33,7 +35,7 @@ pub(super) struct Part {
     triangles: Vec<[u32; 3]>,
     /// Texels of the source per corner; all equal where there is no image.
     texels: Vec<[[f32; 2]; 3]>,
-    /// Triangles of different keys have different images.
+    /// Triangles of different keys have different images, or colours of the vertices jump between them.
     keys: Vec<u32>,
     /// See [`Sizing::scale`](super::charting::Sizing::scale).
     scale: f64,
@@ -63,12 +65,15 @@ impl Part {
             normals: input.normals,
         };
         let mut plain_looks: BTreeMap<(u32, [u8; 4]), u32> = BTreeMap::new();
-        for &t in members {
+        let mut image_looks: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+        let hues = part.hues(input, members);
+        for (i, &t) in members.iter().enumerate() {
             let material = texturing.material_of[t as usize];
             match source_texels(texturing, input.materials, input.images, t as usize) {
                 Some((texels, material)) => {
+                    let next = image_looks.len() as u32;
                     part.texels.push(texels);
-                    part.keys.push(material);
+                    part.keys.push(*image_looks.entry((material, hues[i])).or_insert(next));
                 }
                 None => {
                     let colors = input.mesh.triangles[t as usize].map(|w| input.mesh.wedges[w as usize].color);
@@ -83,6 +88,38 @@ impl Part {
         part
     }
 
+    /// Parts of the cluster over which the colours of the vertices do not jump, by triangle. A texel of a chart cannot show
+    /// two colours, and where an image is stretched over the surface a texel is wide.
+    fn hues(&self, input: &ChartInput, members: &[u32]) -> Vec<u32> {
+        let mut hues: Vec<u32> = (0..members.len() as u32).collect();
+        if !input.mesh.has_colors {
+            return vec![0; members.len()];
+        }
+        fn root(hues: &mut [u32], mut t: u32) -> u32 {
+            while hues[t as usize] != t {
+                hues[t as usize] = hues[hues[t as usize] as usize];
+                t = hues[t as usize];
+            }
+            t
+        }
+        let color = |t: usize, k: usize| {
+            let wedge = input.mesh.triangles[members[t] as usize][k];
+            input.mesh.wedges[wedge as usize].color
+        };
+        let mut edges: BTreeMap<[(u32, [u8; 4]); 2], u32> = BTreeMap::new();
+        for (t, corners) in self.triangles.iter().enumerate() {
+            for k in 0..3 {
+                let mut edge = [k, (k + 1) % 3].map(|k| (corners[k], color(t, k)));
+                edge.sort_unstable();
+                let other = *edges.entry(edge).or_insert(t as u32);
+                let (a, b) = (root(&mut hues, t as u32), root(&mut hues, other));
+                // The smallest is the root.
+                hues[a.max(b) as usize] = a.min(b);
+            }
+        }
+        (0..members.len() as u32).map(|t| root(&mut hues, t)).collect()
+    }
+
     fn surface(&self) -> ClusterSurface<'_> {
         ClusterSurface { positions: &self.positions, triangles: &self.triangles }
     }
@@ -90,14 +127,15 @@ impl Part {
     /// Cuts the cluster into charts and packs them.
     pub fn tile(&self, options: &ChartOptions) -> ClusterTile {
         let (charts, origin) = self.charts(options);
-        let densities = match origin {
-            // Whole texels or halves of them.
-            Origin::Source => vec![self.scale.log2().round().exp2() as f32; charts.count as usize],
-            _ => self.densities(&charts),
+        // Whole texels or halves of them.
+        let source = vec![self.scale.log2().round().exp2() as f32; charts.count as usize];
+        let (densities, fit, least) = match origin {
+            Origin::Source => (source, Fit::WholeTexels, 1.0),
+            _ if self.only_normals() => (self.densities(&charts), Fit::Free, MIN_NORMAL_SCALE),
+            // More than asked for, and as little as asked for is enough: what is left of the tile is made use of.
+            _ => (self.densities(&charts).iter().map(|d| d * MAX_FILLING).collect(), Fit::Free, MIN_SCALE / MAX_FILLING),
         };
-        let fit = if matches!(origin, Origin::Source) { Fit::WholeTexels } else { Fit::Free };
-        let min_scale = if self.only_normals() { MIN_NORMAL_SCALE } else { MIN_SCALE };
-        let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale });
+        let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale: least });
         let (texel, side) = self.texel_sizes(&packed.corners, packed.size);
         ClusterTile {
             size: packed.size,
@@ -105,7 +143,7 @@ impl Part {
             side,
             charts: packed.count,
             fill: packed.fill,
-            reduced: packed.scale < f64::from(min_scale),
+            reduced: packed.scale < f64::from(least),
             origin,
             corners: packed.corners,
             chart_of: packed.chart_of,

@@ -37,6 +37,10 @@ impl Default for TexelOptions {
     }
 }
 
+/// HDR models of no more texels than this keep halves: what is magnified shows the steps of blocks, and 8 bytes for each
+/// of them are soon read.
+const FEW_TEXELS: u64 = 1 << 18;
+
 /// One map of the model, and how it is made.
 struct Map {
     record: MapRecord,
@@ -45,8 +49,8 @@ struct Map {
     hdr: bool,
 }
 
-/// The maps that a model with these materials has; `has_colors`: of its vertices.
-fn maps(input: &TextureInput, has_colors: bool) -> Vec<Map> {
+/// The maps that a model with these materials and tiles has; `has_colors`: of its vertices.
+fn maps(input: &TextureInput, has_colors: bool, tile_texels: u64) -> Vec<Map> {
     let TextureInput { materials, images, texels: options, .. } = input;
     const KINDS: [(texture::MapKind, MapKind); 4] = [
         (texture::MapKind::BaseColor, MapKind::BaseColor),
@@ -68,6 +72,9 @@ fn maps(input: &TextureInput, has_colors: bool) -> Vec<Map> {
         let (format, record) = match (kind, options.compress) {
             // Blocks of halves have no alpha.
             (texture::MapKind::BaseColor, true) if hdr && cut_out => (BlockFormat::RgbaF16, MapFormat::RgbaF16),
+            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) if hdr && tile_texels <= FEW_TEXELS => {
+                (BlockFormat::RgbaF16, MapFormat::RgbaF16)
+            }
             (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) if hdr => {
                 (BlockFormat::Bc6h, MapFormat::Bc6h)
             }
@@ -97,7 +104,8 @@ pub(super) fn fill_tiles(
     model: &mut BakedModel,
     progress: &(dyn Fn(f32) + Sync),
 ) -> Result<(), ArchiveError> {
-    let maps = maps(input, finished.mesh.has_colors);
+    let texels = tiles.tiles.iter().map(|t| u64::from(t.size) * u64::from(t.size)).sum();
+    let maps = maps(input, finished.mesh.has_colors, texels);
     let baker = TileBaker {
         mesh: finished.mesh,
         texturing: finished.mesh.texturing.as_ref().expect("only textured meshes have tiles"),
