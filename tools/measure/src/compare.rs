@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 use crate::reference::COVERAGE;
+use crate::seams::{PLACES, Place};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -45,6 +46,8 @@ pub struct Frame {
     pub covered: Part,
     /// Where it covers the whole pixel: without silhouettes.
     pub inside: Part,
+    /// Inside charts, where charts meet, where clusters meet; nothing where nobody says what is where.
+    pub places: [Part; 3],
     /// Largest FLIP of a pixel.
     pub flip_max: f64,
     /// Largest change of a channel.
@@ -106,6 +109,11 @@ pub fn run(arguments: &Arguments) -> Result<Value> {
     Ok(json!({ "frames": rows, "all": all.json(), "covered": covered.json(), "inside": inside.json() }))
 }
 
+/// Means over frames: inside charts, at charts' and at clusters' borders.
+pub fn means_of_places(frames: &[Frame]) -> [Part; 3] {
+    std::array::from_fn(|k| Part::mean(frames.iter().map(|f| &f.places[k])))
+}
+
 /// Means over frames: all pixels, covered ones, those inside.
 pub fn means(frames: &[Frame]) -> [Part; 3] {
     [
@@ -122,9 +130,12 @@ pub fn compare(a: &Path, b: &Path, pixels_per_degree: f32, pictures: Option<&Pat
     }
     let one = |a: &Path, b: &Path| {
         let name = a.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let mask = a.parent().map(|folder| folder.join(COVERAGE).join(&name)).filter(|m| m.exists());
-        let mask = mask.map(|m| Ok::<_, anyhow::Error>(open(&m)?.to_luma8())).transpose()?;
-        let pair = Pair { a: open(a)?.to_rgb8(), b: open(b)?.to_rgb8(), mask };
+        let beside = |what: &str| {
+            let path = a.parent().map(|folder| folder.join(what).join(&name)).filter(|m| m.exists());
+            path.map(|m| Ok::<_, anyhow::Error>(open(&m)?.to_luma8())).transpose()
+        };
+        let pair =
+            Pair { a: open(a)?.to_rgb8(), b: open(b)?.to_rgb8(), mask: beside(COVERAGE)?, places: beside(PLACES)? };
         let (frame, flip) = pair.measure(&name, pixels_per_degree)?;
         if let Some(folder) = pictures {
             pair.save(&folder.join(&name), &flip)?;
@@ -156,6 +167,8 @@ struct Pair {
     b: RgbImage,
     /// How much of each pixel the model covers.
     mask: Option<GrayImage>,
+    /// What each pixel sees, see [`Place`].
+    places: Option<GrayImage>,
 }
 
 impl Pair {
@@ -170,12 +183,18 @@ impl Pair {
             let pixels = (0..flip.len()).filter(move |&i| mask.is_none_or(|m| m.as_raw()[i] >= least));
             Part::of(pixels, &self.a, &self.b, &flip)
         };
+        let at = |place: Place| {
+            let places = self.places.as_ref().filter(|m| m.dimensions() == (width, height));
+            let pixels = (0..flip.len()).filter(|&i| places.is_some_and(|p| p.as_raw()[i] == place as u8));
+            Part::of(pixels, &self.a, &self.b, &flip)
+        };
         let changes = self.a.as_raw().iter().zip(self.b.as_raw()).map(|(a, b)| a.abs_diff(*b));
         let frame = Frame {
             name: name.to_owned(),
             all: at_least(0),
             covered: at_least(1),
             inside: at_least(255),
+            places: [Place::Inside, Place::Charts, Place::Clusters].map(at),
             flip_max: f64::from(flip.iter().copied().fold(0.0, f32::max)),
             max_change: changes.max().unwrap_or(0),
         };
@@ -202,7 +221,7 @@ mod tests {
 
     fn flip(a: [u8; 3], b: [u8; 3]) -> Frame {
         let of = |c| RgbImage::from_pixel(48, 32, Rgb(c));
-        Pair { a: of(a), b: of(b), mask: None }.measure("x", 67.0).unwrap().0
+        Pair { a: of(a), b: of(b), mask: None, places: None }.measure("x", 67.0).unwrap().0
     }
 
     #[test]
@@ -223,8 +242,12 @@ mod tests {
         let mut mask = GrayImage::new(8, 8);
         mask.put_pixel(3, 3, image::Luma([255]));
         mask.put_pixel(4, 3, image::Luma([64]));
-        let pair = Pair { a: RgbImage::new(8, 8), b, mask: Some(mask) };
+        let mut places = GrayImage::from_pixel(8, 8, image::Luma([Place::Inside as u8]));
+        places.put_pixel(3, 3, image::Luma([Place::Charts as u8]));
+        places.put_pixel(4, 3, image::Luma([Place::Edge as u8]));
+        let pair = Pair { a: RgbImage::new(8, 8), b, mask: Some(mask), places: Some(places) };
         let frame = pair.measure("x", 67.0).unwrap().0;
+        assert_eq!(frame.places.map(|p| (p.pixels, p.mae)), [(62, 0.0), (1, 255.0), (0, 0.0)]);
         assert_eq!((frame.all.mae, frame.covered.mae, frame.inside.mae), (255.0 / 64.0, 127.5, 255.0));
         assert!(frame.inside.flip >= frame.covered.flip && frame.covered.flip > 3.0 * frame.all.flip, "{frame:?}");
     }

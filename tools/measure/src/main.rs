@@ -11,6 +11,7 @@ mod mesh;
 mod pops;
 mod random;
 mod reference;
+mod seams;
 mod speed;
 mod textured;
 mod textures;

@@ -8,17 +8,17 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::compare::{Part, compare, means};
+use crate::compare::{Part, compare, means, means_of_places};
 use crate::flights::{Kind, flight};
 use crate::reference::scene::Scene;
 use crate::reference::{COVERAGE, Filter, Options, cover_with, frames, parse_size};
+use crate::seams::{Borders, PLACES};
 
-/// The heading of the table that [`row`] continues.
+/// The heading of the table of docs/performance.md that [`row`] continues.
 pub const HEADING: &str = "\
-| model | triangles | source texels | archive bytes | tile texels | bytes per texel | bake s | FLIP near | close | far \
-| FLIP on the model near | close | far | the same, full images | | | MAE on the model near | close | far | \
-silhouette off, px |
-|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
+| model | triangles | source, M texels | tiles, M texels | bytes per texel | FLIP near / close / far | on the model \
+| the same, full images | MAE inside / at charts / at clusters | the same, full images |
+|---|---|---|---|---|---|---|---|---|---|";
 
 /// The views of the table, in its order.
 const VIEWS: [(&str, Kind); 3] = [("near", Kind::Near), ("close", Kind::Close), ("far", Kind::Far)];
@@ -77,6 +77,7 @@ fn measure(arguments: &Arguments, name: &str) -> Result<Value> {
     if let Some(texture) = &arguments.texture {
         cover_with(&mut scene, texture)?;
     }
+    let borders = borders(arguments, &archive, &bake)?;
     let mut views = serde_json::Map::new();
     for (view, kind) in VIEWS {
         let path = out.join(format!("{view}.json"));
@@ -87,6 +88,9 @@ fn measure(arguments: &Arguments, name: &str) -> Result<Value> {
         for (filter, what) in [(Filter::Exact, "exact"), (Filter::Trilinear, "trilinear")] {
             let options = Options { size: arguments.size, filter, grid: None };
             frames(&mut scene, &flight, &options, &folder(what))?;
+        }
+        if let Some(borders) = &borders {
+            borders.write(&flight, arguments.size, &folder("exact").join(PLACES))?;
         }
         let ours = compare_folders(&folder("exact"), &folder("view"), Some(&folder("pictures")))?;
         let plain = compare_folders(&folder("exact"), &folder("trilinear"), None)?;
@@ -125,6 +129,20 @@ fn bake(arguments: &Arguments, archive: &Path) -> Result<Value> {
     serde_json::from_slice(&text).context("pb-bake --json does not print JSON")
 }
 
+/// The charts and clusters of an archive with textures.
+fn borders(arguments: &Arguments, archive: &Path, bake: &Value) -> Result<Option<Borders>> {
+    if bake.pointer("/textures/tile_texels").and_then(Value::as_u64).unwrap_or(0) == 0 {
+        return Ok(None);
+    }
+    let exported = archive.with_extension("glb");
+    finished(
+        Command::new(program(arguments, "pb-bake")).arg("export").arg(archive).arg(&exported).args(["--level", "0"]),
+    )?;
+    let borders = Borders::read(&exported)?;
+    std::fs::remove_file(&exported).with_context(|| format!("{}: cannot be removed", exported.display()))?;
+    Ok(Some(borders))
+}
+
 fn fly(arguments: &Arguments, archive: &Path, flypath: &Path, frames: &Path) -> Result<()> {
     let [width, height] = arguments.size;
     let mut command = Command::new(program(arguments, "pb-view"));
@@ -138,9 +156,11 @@ fn compare_folders(a: &Path, b: &Path, pictures: Option<&Path>) -> Result<Value>
     let frames = compare(a, b, nv_flip::DEFAULT_PIXELS_PER_DEGREE, pictures)?;
     let part = |p: &Part| json!({ "flip": p.flip, "mae": p.mae, "psnr_db": p.psnr() });
     let [all, covered, inside] = means(&frames);
+    let places = means_of_places(&frames).map(|p| json!({ "pixels": p.pixels, "mae": p.mae, "flip": p.flip }));
     let worst = frames.iter().map(|f| f.covered.flip).fold(0.0, f64::max);
     Ok(json!({
         "all": part(&all), "covered": part(&covered), "inside": part(&inside), "worst_frame_covered_flip": worst,
+        "inside_charts": places[0], "at_charts": places[1], "at_clusters": places[2],
     }))
 }
 
@@ -158,30 +178,37 @@ fn silhouette_off(coverage: &Path, view: &Path) -> Result<u64> {
 
 /// One line of the table; what pb-bake does not say is a dash.
 fn row(name: &str, figures: &Value) -> String {
-    let bake = &figures["bake"];
-    let texels = bake.pointer("/textures/tile_texels").and_then(Value::as_f64);
-    let bytes = bake.pointer("/textures/tile_bytes").and_then(Value::as_f64);
-    let ratio = texels.zip(bytes).filter(|(t, _)| *t > 0.0).map_or("–".into(), |(t, b)| format!("{:.2}", b / t));
-    let of = |pointer: &str, digits: usize| {
-        let one = |(view, _): (&str, Kind)| {
-            let value = figures["views"][view].pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
-            format!("{value:.digits$}")
-        };
-        VIEWS.map(one).join(" | ")
+    let textures = |what: &str| figures["bake"]["textures"][what].as_f64().filter(|x| *x > 0.0);
+    let (texels, bytes) = (textures("tile_texels"), textures("tile_bytes"));
+    let shown = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.2}"));
+    let of = |pointer: &str| {
+        let one = |(view, _): (&str, Kind)| figures["views"][view].pointer(pointer).and_then(Value::as_f64);
+        VIEWS.map(one).map(|x| x.map_or("–".into(), |x| format!("{x:.4}"))).join(" / ")
     };
-    let off: u64 = VIEWS.iter().filter_map(|(v, _)| figures["views"][*v]["silhouette_off_px"].as_u64()).sum();
+    let million = |x: f64| x / 1e6;
     format!(
-        "| {name} | {} | {} | {} | {} | {ratio} | {:.2} | {} | {} | {} | {} | {off} |",
+        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
         figures["triangles"],
-        figures["source_texels"],
-        bake["bytes"],
-        texels.map_or("–".into(), |t| format!("{t}")),
-        bake["seconds"].as_f64().unwrap_or(f64::NAN),
-        of("/ours/all/flip", 4),
-        of("/ours/covered/flip", 4),
-        of("/full_images/covered/flip", 4),
-        of("/ours/covered/mae", 2),
+        shown(figures["source_texels"].as_f64().map(million)),
+        shown(texels.map(million)),
+        shown(texels.zip(bytes).map(|(t, b)| b / t)),
+        of("/ours/all/flip"),
+        of("/ours/covered/flip"),
+        of("/full_images/covered/flip"),
+        places(figures, "ours"),
+        places(figures, "full_images"),
     )
+}
+
+/// Mean absolute errors inside charts, at charts' and at clusters' borders, over the pixels of all views.
+fn places(figures: &Value, whose: &str) -> String {
+    let one = |place: &str| {
+        let of = |view: &str, what: &str| figures["views"][view][whose][place][what].as_f64().unwrap_or(0.0);
+        let pixels: f64 = VIEWS.iter().map(|(v, _)| of(v, "pixels")).sum();
+        let sum: f64 = VIEWS.iter().map(|(v, _)| of(v, "pixels") * of(v, "mae")).sum();
+        if pixels > 0.0 { format!("{:.2}", sum / pixels) } else { "–".into() }
+    };
+    ["inside_charts", "at_charts", "at_clusters"].map(one).join(" / ")
 }
 
 #[cfg(test)]
@@ -190,7 +217,10 @@ mod tests {
 
     #[test]
     fn a_row_has_a_cell_for_each_heading() {
-        let part = json!({ "all": { "flip": 0.01, "mae": 1.0 }, "covered": { "flip": 0.02, "mae": 2.0 } });
+        let part = json!({
+            "all": { "flip": 0.01 }, "covered": { "flip": 0.02 },
+            "inside_charts": { "pixels": 9, "mae": 1.0 }, "at_charts": { "pixels": 0, "mae": 0.0 },
+        });
         let view = json!({ "ours": part, "full_images": part, "silhouette_off_px": 1 });
         let figures = json!({
             "triangles": 7, "source_texels": 9, "views": { "near": view, "close": view, "far": view },
@@ -199,6 +229,7 @@ mod tests {
         let row = row("a", &figures);
         let cells = |line: &str| line.matches('|').count();
         assert!(HEADING.lines().all(|line| cells(line) == cells(&row)), "{row}");
-        assert!(row.contains("| 1.40 | 0.50 | 0.0100 |") && row.ends_with("| 3 |"), "{row}");
+        assert!(row.contains("| 0.00 | 1.40 | 0.0100 / 0.0100 / 0.0100 |"), "{row}");
+        assert!(row.ends_with("| 1.00 / – / – | 1.00 / – / – |"), "{row}");
     }
 }

@@ -22,7 +22,7 @@ const GRID: (usize, usize) = (4, 16);
 /// Depths that differ by this share are equal.
 const EDGE: f64 = 1e-9;
 /// No triangle.
-const NONE: u32 = u32::MAX;
+pub const NONE: u32 = u32::MAX;
 
 /// How colours are found inside a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -106,6 +106,32 @@ pub fn draw(scene: &Scene, camera: &Camera, options: &Options) -> Picture {
     };
     let (pixels, coverage) = (0..size[0] * size[1]).map(pixel).unzip();
     Picture { pixels, coverage }
+}
+
+/// Depth and triangle that the adapter's four samples of each pixel see; holes are not looked through.
+pub fn visible(scene: &Scene, camera: &Camera, size: [usize; 2]) -> Vec<[(f64, u32); 4]> {
+    let projected: Vec<DVec3> = scene.positions.iter().map(|&p| camera.project(p)).collect();
+    let mut nearest = vec![[(f64::INFINITY, NONE); 4]; size[0] * size[1]];
+    for (t, triangle) in scene.triangles.iter().enumerate() {
+        let Some(seen) = see(t as u32, triangle.corners.map(|i| projected[i as usize]), size) else { continue };
+        for y in seen.low[1]..=seen.high[1] {
+            for x in seen.low[0]..=seen.high[0] {
+                for (place, slot) in FOUR.iter().zip(&mut nearest[y * size[0] + x]) {
+                    let depth = seen.hit(ray(x, y, *place, size)).map_or(f64::INFINITY, |h| h.0);
+                    if depth < slot.0 {
+                        *slot = (depth, t as u32);
+                    }
+                }
+            }
+        }
+    }
+    nearest
+}
+
+/// Through a place of a pixel, a unit deep.
+fn ray(x: usize, y: usize, place: [f64; 2], size: [usize; 2]) -> DVec3 {
+    let [width, height] = size.map(|s| s as f64);
+    DVec3::new((x as f64 + place[0]) / width * 2.0 - 1.0, 1.0 - (y as f64 + place[1]) / height * 2.0, 1.0)
 }
 
 /// The four of the adapter, then a regular grid.
@@ -266,8 +292,7 @@ impl Work<'_> {
     }
 
     fn ray(&self, x: usize, y: usize, place: [f64; 2]) -> DVec3 {
-        let [width, height] = self.options.size.map(|s| s as f64);
-        DVec3::new((x as f64 + place[0]) / width * 2.0 - 1.0, 1.0 - (y as f64 + place[1]) / height * 2.0, 1.0)
+        ray(x, y, place, self.options.size)
     }
 
     /// Mean light of all samples that hit the model; edges as the adapter's four samples see them.

@@ -22,13 +22,20 @@ struct BaseColor {
     transform: [[f32; 3]; 2],
 }
 
-pub fn load(path: &Path) -> Result<Scene> {
+/// Whether images are needed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Images {
+    Read,
+    Skipped,
+}
+
+pub fn load(path: &Path, images: Images) -> Result<Scene> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot be read", path.display()))?;
     let Gltf { document, blob } = Gltf::from_slice_without_validation(&bytes)?;
     let folder = path.parent().unwrap_or(Path::new("."));
     let buffers = gltf::import_buffers(&document, Some(folder), blob)?;
     let mut scene = Scene::default();
-    for image in document.images() {
+    for image in document.images().filter(|_| images == Images::Read) {
         scene.images.push(Image::or_missing(open_image(image.source(), folder, &buffers)));
     }
     let base: Vec<BaseColor> = document.materials().map(|m| base_color(&m)).collect();

@@ -13,7 +13,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 
 use camera::Flypath;
-pub use draw::{BACKGROUND, Filter, Options, draw};
+pub use draw::{BACKGROUND, Filter, NONE, Options, draw, visible};
 use scene::Scene;
 
 /// Where frames say how much of each pixel the model covers: a folder beside them.

@@ -80,7 +80,7 @@ impl Scene {
     pub fn read(path: &Path) -> Result<Scene> {
         let mut scene = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("obj") => load_obj::load(path)?,
-            Some("gltf" | "glb") => load_gltf::load(path)?,
+            Some("gltf" | "glb") => load_gltf::load(path, load_gltf::Images::Read)?,
             Some("ply") => uncoloured(&Mesh::read(path)?),
             _ => bail!("{}: only .obj, .gltf, .glb and .ply can be drawn", path.display()),
         };
@@ -90,6 +90,11 @@ impl Scene {
             scene.materials.iter_mut().for_each(|m| m.factor = GREY);
         }
         Ok(scene)
+    }
+
+    /// The same of a .glb file without its images: where its triangles are, and with which coordinates.
+    pub fn read_shape(path: &Path) -> Result<Scene> {
+        load_gltf::load(path, load_gltf::Images::Skipped)
     }
 
     /// Gives all materials without an image this one.
