@@ -127,8 +127,7 @@ impl Part {
     /// Cuts the cluster into charts and packs them.
     pub fn tile(&self, options: &ChartOptions) -> ClusterTile {
         let (charts, origin) = self.charts(options);
-        // Whole texels or halves of them.
-        let source = vec![self.scale.log2().round().exp2() as f32; charts.count as usize];
+        let source = vec![self.scale as f32; charts.count as usize];
         let (densities, fit, least) = match origin {
             Origin::Source => (source, Fit::WholeTexels, 1.0),
             _ if self.only_normals() => (self.densities(&charts), Fit::Free, MIN_NORMAL_SCALE),

@@ -20,7 +20,7 @@ const WORTH_HALVING: f64 = 1.5;
 /// Halves differ a little in size.
 const SEGMENT_SLACK: f64 = 1.02;
 /// Texels of all tiles per texel of the images, at most: what an image that repeats is unrolled to.
-const MAX_UNROLLING: f64 = 4.0;
+const MAX_UNROLLING: f64 = 8.0;
 /// Clusters do not get smaller than this for the sake of their tiles.
 const MIN_CLUSTER_TRIANGLES: usize = 256;
 
@@ -135,8 +135,8 @@ pub(super) struct Sizing {
     /// Triangles per cluster at most: the texels of a cluster should fill a tile well, which has a power of two of texels
     /// per side; a few more than fit would quadruple it.
     pub cluster_triangles: usize,
-    /// Texels of tiles per texel of the source along an axis, at most 1. Less where small images repeat many times over
-    /// the surface.
+    /// Texels of tiles per texel of the source along an axis: 1, or one half so many times that small images which repeat
+    /// many times over the surface are not unrolled to too many texels.
     pub scale: f64,
 }
 
@@ -155,6 +155,7 @@ pub(super) fn sizing(mesh: &Mesh, textures: &TextureInput, most: usize) -> Sizin
     let per_triangle = starts.into_par_iter().map(block).collect::<Vec<f64>>().iter().sum::<f64>() / count as f64;
     let images = textures.images.iter().flatten().map(|i| f64::from(i.width()) * f64::from(i.height()));
     let scale = (MAX_UNROLLING * images.sum::<f64>() / (per_triangle * count as f64)).sqrt().min(1.0);
+    let scale = if scale > 0.0 { scale.log2().floor().exp2() } else { 1.0 };
     let per_triangle = per_triangle * scale * scale;
     let sizing = |cluster_triangles| Sizing { cluster_triangles, scale };
     // The segmentation halves: clusters have about so many triangles.
