@@ -198,6 +198,52 @@ fn bleeding(model: &Model, across: u32, least_side: u32) -> f32 {
     worst
 }
 
+/// The charts of the hills under an even image, its vertices coloured by a function of x.
+fn charts_with_colors(split: bool, color: impl Fn(f64) -> [u8; 4]) -> u64 {
+    let mut soup = hills(24);
+    let whole = std::mem::take(&mut soup.triangles);
+    let (places, mut out) = (soup.positions, Soup { uv_sets: vec![Vec::new()], ..Soup::default() });
+    for t in whole {
+        let corners = t.map(|v| places[v as usize]);
+        let middle = corners.iter().map(|p| p[0]).sum::<f64>() / 3.0;
+        let first = out.positions.len() as u32;
+        for p in corners {
+            out.positions.push(p);
+            out.uv_sets[0].push([p[0] as f32, p[1] as f32]);
+            out.colors.push(color(if split { middle } else { p[0] }));
+        }
+        out.triangles.push([first, first + 1, first + 2]);
+        out.material_of.push(0);
+    }
+    let (_, report) = baked(out, image(16, |_, _| [255; 3]), ChartMode::Best, 16_384);
+    report.charts.expect("textured").charts
+}
+
+#[test]
+fn charts_end_where_the_colours_of_vertices_jump_and_only_there() {
+    assert_eq!(charts_with_colors(true, |x| if x < 0.5 { [255, 0, 0, 255] } else { [0, 0, 255, 255] }), 2);
+    assert_eq!(charts_with_colors(false, |x| [(x * 255.0) as u8, 90, 0, 255]), 1, "colours that change gradually");
+}
+
+/// A map of halves on the hills, `size` texels wide: its format in the archive.
+fn format_of_bright_image(size: u32) -> Option<MapFormat> {
+    let texel = |i: u32| [0x3c00 + (i % 512) as u16, 0x4200, 0x3800];
+    let bytes: Vec<u8> = (0..size * size).flat_map(texel).flat_map(u16::to_le_bytes).collect();
+    let bright = Image::new(size, size, TexelFormat::RgbF16, Arc::new(bytes));
+    let mut soup = hills(24);
+    soup.uv_sets = vec![soup.positions.iter().map(|p| [p[0] as f32, p[1] as f32]).collect()];
+    soup.material_of = vec![0; soup.triangles.len()];
+    let (model, _) = baked(soup, bright, ChartMode::Source, 16_384);
+    model.textures().expect("textured").maps[0].format()
+}
+
+#[test]
+fn few_bright_texels_stay_halves_and_many_become_blocks() {
+    assert_eq!(format_of_bright_image(64), Some(MapFormat::RgbaF16));
+    // Four clusters with tiles of 512 x 512.
+    assert_eq!(format_of_bright_image(900), Some(MapFormat::Bc6h));
+}
+
 #[test]
 fn loud_islands_show_only_their_own_colour_at_every_level_and_mip() {
     for mode in [ChartMode::Source, ChartMode::Best] {

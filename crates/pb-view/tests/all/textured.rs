@@ -1,4 +1,4 @@
-//! Textured models: no pops of texels on a slow flight, and bright values that stay bright.
+//! Textured models: no pops of texels on a slow flight, bright values that stay bright, no seams, and what shines through.
 
 use crate::support::{adapter, column, folder, hills, pb_view_line, read_frame, write_flight};
 use pb_archive::{Overwrite, Spill, Writer};
@@ -8,6 +8,7 @@ use pb_lod::progressive_buffers::bake::{
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
 use pb_mesh::material::{Material, Slot, TextureRef};
+use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{RepairOptions, repair};
 use pb_mesh::texture::Quality;
 use pb_mesh::texture::image::{Image, TexelFormat};
@@ -16,18 +17,20 @@ use std::sync::Arc;
 
 /// Hills, almost flat so that no ridge sparkles, under an image that is spread over them once; `2 * n * n` triangles.
 fn bake_hills(name: &str, n: u32, image: Image) -> PathBuf {
-    let mut soup = hills(n);
+    bake_hills_as(name, hills(n), image, ChartMode::Source, Material::default())
+}
+
+fn bake_hills_as(name: &str, mut soup: Soup, image: Image, mode: ChartMode, mut material: Material) -> PathBuf {
     soup.positions.iter_mut().for_each(|p| p[1] *= 0.1);
     soup.uv_sets = vec![soup.positions.iter().map(|p| [p[0], p[2]].map(|x| 0.5 + 0.49 * x as f32)).collect()];
     soup.material_of = vec![0; soup.triangles.len()];
     let triangles = soup.triangles.len() as u64;
     let (mesh, _) = repair(soup, &RepairOptions::default()).unwrap();
-    let mut material = Material::default();
     material.textures[Slot::BaseColor as usize] = Some(TextureRef::plain(0));
     let textures = TextureInput {
         materials: &[material],
         images: &[Some(image)],
-        charts: ChartOptions { mode: ChartMode::Source, tile_size: 512, charter: None },
+        charts: ChartOptions { mode, tile_size: 512, charter: None },
         texels: TexelOptions { quality: Quality::Fast, ..TexelOptions::default() },
         spill: &Spill::in_memory(),
     };
@@ -132,5 +135,91 @@ fn bright_values_of_a_texture_survive_to_the_frames() {
         let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
         let at = |x: usize| values[32 * 64 + x];
         assert!((at(16) - 6.0).abs() < 0.1 && (at(48) - 0.25).abs() < 0.02, "{}: {} {}", channel.name, at(16), at(48));
+    }
+}
+
+/// Waves: red 24 texels long, green 96; blue is even.
+const WAVES: [f64; 2] = [24.0, 96.0];
+const WAVY_SIZE: u32 = 256;
+
+/// What the wavy image shows at a place of the hills: x and z, from -1 to 1.
+fn wavy(x: f64, z: f64) -> [f64; 3] {
+    let texel = |x: f64| (0.5 + 0.49 * x) * f64::from(WAVY_SIZE);
+    let wave = |k: usize| {
+        128.0 + 100.0 * ((texel(x) + 0.4 * texel(z)) / WAVES[k] * std::f64::consts::TAU / 1.16f64.sqrt()).sin()
+    };
+    [wave(0), wave(1), 128.0]
+}
+
+/// The hills straight from above, from so far away that their heights play no part: how much of them a picture shows.
+const SHOWN: [f64; 2] = [0.9, 3.6];
+
+/// Largest difference, of 255, between a picture of the hills and the wavy image itself, by channel.
+fn off_the_waves(picture: &image::RgbImage, shown: f64) -> [f64; 3] {
+    let size = f64::from(picture.width());
+    let at = |i: u32| (2.0 * (f64::from(i) + 0.5) / size - 1.0) * shown;
+    let mut worst = [0f64; 3];
+    for (i, j, pixel) in picture.enumerate_pixels() {
+        let (x, z) = (at(i), at(j));
+        if x.abs().max(z.abs()) < 0.9 {
+            let wanted = wavy(x, z);
+            (0..3).for_each(|k| worst[k] = worst[k].max((f64::from(pixel.0[k]) - wanted[k]).abs()));
+        }
+    }
+    worst
+}
+
+#[test]
+fn no_seam_shows_where_charts_and_clusters_meet() {
+    let Some(_) = adapter("seams of charts and clusters") else { return };
+    let place = |i: u32| ((f64::from(i) + 0.5) / f64::from(WAVY_SIZE) - 0.5) / 0.49;
+    let texel = |i: u32| wavy(place(i % WAVY_SIZE), place(i / WAVY_SIZE)).map(|c| c.round() as u8);
+    let bytes: Vec<u8> = (0..WAVY_SIZE * WAVY_SIZE).flat_map(texel).collect();
+    let image = Image::new(WAVY_SIZE, WAVY_SIZE, TexelFormat::Rgb8, Arc::new(bytes));
+    for (name, mode) in [("source", ChartMode::Source), ("new", ChartMode::Auto)] {
+        let archive =
+            bake_hills_as(&format!("wavy_{name}.pb"), hills(64), image.clone(), mode, Material::default());
+        let out = folder(&format!("seams_{name}"));
+        let path = out.join("flight.json");
+        let distance = 200.0;
+        let keys = SHOWN.map(|s| s / SHOWN[0] * distance).map(|y| [0.0, y, 0.0]);
+        let fov_deg = 2.0 * (SHOWN[0] / distance).atan().to_degrees();
+        write_flight(&path, 10.0, [0.0, 0.0, -1.0], fov_deg, &[(0.0, keys[0], [0.0; 3]), (0.1, keys[1], [0.0; 3])]);
+        let line = "{} --flypath {} --frames {} --size 240x240 --unlit --settle --samples 1 --error-px 0.05";
+        let run = pb_view_line(line, &[&archive, &path, &out]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let near = off_the_waves(&read_frame(&out, 0), SHOWN[0]);
+        let far = off_the_waves(&read_frame(&out, 1), SHOWN[1]);
+        println!("{name} charts, largest differences by channel: near {near:.1?}, far {far:.1?}");
+        // A texel's shift would change red by 26 near, a mip's green by 26 far, and bleeding blue.
+        assert!(near[0] < 13.0 && near[1] < 8.0 && near[2] < 4.0, "{name}, near: {near:?}");
+        assert!(far[1] < 13.0 && far[2] < 4.0, "{name}, far: {far:?}");
+    }
+}
+
+#[test]
+fn what_lies_behind_a_blended_surface_shines_through_its_share_of_each_pixel() {
+    let Some(_) = adapter("blended surfaces") else { return };
+    let linear = |c: f64| ((c / 255.0 + 0.055) / 1.055).powf(2.4);
+    let behind = linear(f64::from(pb_render::BACKGROUND_SRGB[1]));
+    for (alpha, share) in [(77u8, 0.25), (128, 0.5), (190, 0.75), (255, 1.0)] {
+        let mut soup = hills(16);
+        soup.colors = vec![[255, 255, 255, alpha]; soup.positions.len()];
+        let material = Material { alpha_cutoff: Some(0.0625), is_blended: true, ..Material::default() };
+        let white = Image::new(8, 8, TexelFormat::Rgb8, Arc::new(vec![255u8; 8 * 8 * 3]));
+        let archive = bake_hills_as(&format!("veil_{alpha}.pb"), soup, white, ChartMode::Source, material);
+        let out = folder(&format!("veil_{alpha}"));
+        let path = out.join("flight.json");
+        let key = |t: f64| (t, [0.0, 3.0, 0.0], [0.0; 3]);
+        write_flight(&path, 10.0, [0.0, 0.0, -1.0], 20.0, &[key(0.0), key(0.1)]);
+        for samples in [1, 4] {
+            let line = format!("{{}} --flypath {{}} --frames {{}} --size 32x32 --unlit --settle --samples {samples}");
+            let run = pb_view_line(&line, &[&archive, &path, &out]);
+            assert_eq!(run.code, 0, "{}", run.stderr);
+            let picture = read_frame(&out, 0);
+            let mean = picture.pixels().map(|p| linear(f64::from(p.0[1]))).sum::<f64>() / 1024.0;
+            let wanted = share + (1.0 - share) * behind;
+            assert!((mean - wanted).abs() < 0.01, "alpha {alpha}, {samples} samples: {mean}, not {wanted}");
+        }
     }
 }
