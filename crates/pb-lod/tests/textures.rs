@@ -198,8 +198,8 @@ fn bleeding(model: &Model, across: u32, least_side: u32) -> f32 {
     worst
 }
 
-/// The charts of the hills under an even image, its vertices coloured by a function of x.
-fn charts_with_colors(split: bool, color: impl Fn(f64) -> [u8; 4]) -> u64 {
+/// The charts of the hills under an even image, vertices coloured by their x and that of the triangle's middle.
+fn charts_with_colors(color: impl Fn(f64, f64) -> [u8; 4]) -> u64 {
     let mut soup = hills(24);
     let whole = std::mem::take(&mut soup.triangles);
     let (places, mut out) = (soup.positions, Soup { uv_sets: vec![Vec::new()], ..Soup::default() });
@@ -210,7 +210,7 @@ fn charts_with_colors(split: bool, color: impl Fn(f64) -> [u8; 4]) -> u64 {
         for p in corners {
             out.positions.push(p);
             out.uv_sets[0].push([p[0] as f32, p[1] as f32]);
-            out.colors.push(color(if split { middle } else { p[0] }));
+            out.colors.push(color(p[0], middle));
         }
         out.triangles.push([first, first + 1, first + 2]);
         out.material_of.push(0);
@@ -221,8 +221,11 @@ fn charts_with_colors(split: bool, color: impl Fn(f64) -> [u8; 4]) -> u64 {
 
 #[test]
 fn charts_end_where_the_colours_of_vertices_jump_and_only_there() {
-    assert_eq!(charts_with_colors(true, |x| if x < 0.5 { [255, 0, 0, 255] } else { [0, 0, 255, 255] }), 2);
-    assert_eq!(charts_with_colors(false, |x| [(x * 255.0) as u8, 90, 0, 255]), 1, "colours that change gradually");
+    let even = charts_with_colors(|_, _| [255; 4]);
+    let gradual = charts_with_colors(|x, _| [(x * 255.0) as u8, 90, 0, 255]);
+    let jump = charts_with_colors(|_, middle| if middle < 0.3 { [255, 0, 0, 255] } else { [0, 0, 255, 255] });
+    assert_eq!(gradual, even);
+    assert!(jump > even, "{jump} charts, {even} without a jump");
 }
 
 /// A map of halves on the hills, `size` texels wide: its format in the archive.

@@ -15,9 +15,9 @@ mod mips;
 mod normal;
 mod raster;
 mod sample;
-pub mod veil;
 #[cfg(test)]
 mod tests;
+pub mod veil;
 
 pub use bake::{BakeOptions, MapKind, NormalSpace, TileSource, bake_tile, scratch_bytes};
 pub use block::{BlockFormat, Quality, decode, encode, encode_shown};

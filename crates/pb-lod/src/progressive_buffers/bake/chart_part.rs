@@ -132,7 +132,9 @@ impl Part {
             Origin::Source => (source, Fit::WholeTexels, 1.0),
             _ if self.only_normals() => (self.densities(&charts), Fit::Free, MIN_NORMAL_SCALE),
             // More than asked for, and as little as asked for is enough: what is left of the tile is made use of.
-            _ => (self.densities(&charts).iter().map(|d| d * MAX_FILLING).collect(), Fit::Free, MIN_SCALE / MAX_FILLING),
+            _ => {
+                (self.densities(&charts).iter().map(|d| d * MAX_FILLING).collect(), Fit::Free, MIN_SCALE / MAX_FILLING)
+            }
         };
         let packed = pack(&charts, &densities, &PackOptions { max_size: options.tile_size, fit, min_scale: least });
         let (texel, side) = self.texel_sizes(&packed.corners, packed.size);
