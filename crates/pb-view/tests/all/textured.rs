@@ -6,6 +6,8 @@ use pb_lod::progressive_buffers::bake::{
     BakeOptions, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::layout::SCHEME;
+use pb_lod::progressive_buffers::model::Model;
+use pb_lod::progressive_buffers::textures::MapFormat;
 use pb_lod::progressive_buffers::write::write_model;
 use pb_mesh::material::{Material, Slot, TextureRef};
 use pb_mesh::mesh::Soup;
@@ -114,11 +116,21 @@ fn texels_change_as_smoothly_as_those_of_the_full_model_also_where_they_come_lat
 #[test]
 fn bright_values_of_a_texture_survive_to_the_frames() {
     let Some(_) = adapter("HDR frames") else { return };
+    // A few texels stay halves, many become blocks of halves.
+    for (name, n, side) in [("hdr_halves", 32, 128), ("hdr_blocks", 64, 1024)] {
+        bright_values_survive(name, n, side);
+    }
+}
+
+fn bright_values_survive(name: &str, n: u32, side: u32) {
     // Halves: 6 on the left, 0.25 on the right.
-    let texel = |i: u32| if i % 128 < 64 { [0x4600u16; 3] } else { [0x3400; 3] };
-    let bytes: Vec<u8> = (0..128 * 128).flat_map(texel).flat_map(u16::to_le_bytes).collect();
-    let archive = bake_hills("hdr_hills.pb", 32, Image::new(128, 128, TexelFormat::RgbF16, Arc::new(bytes)));
-    let out = folder("hdr_frames");
+    let texel = |i: u32| if i % side < side / 2 { [0x4600u16; 3] } else { [0x3400; 3] };
+    let bytes: Vec<u8> = (0..side * side).flat_map(texel).flat_map(u16::to_le_bytes).collect();
+    let image = Image::new(side, side, TexelFormat::RgbF16, Arc::new(bytes));
+    let archive = bake_hills(&format!("{name}.pb"), n, image);
+    let format = Model::open(&archive).unwrap().textures().unwrap().maps[0].format().unwrap();
+    assert_eq!(format, if side > 512 { MapFormat::Bc6h } else { MapFormat::RgbaF16 });
+    let out = folder(name);
     let path = out.join("flight.json");
     write_flight(
         &path,

@@ -69,22 +69,15 @@ fn maps(input: &TextureInput, has_colors: bool, tile_texels: u64) -> Vec<Map> {
     used.map(|(kind, stored)| {
         let hdr = kind.is_hdr(materials, images);
         let tangent = options.normal_space == NormalSpace::Tangent;
+        // Blocks of halves have no alpha.
+        let plain_halves =
+            !options.compress || tile_texels <= FEW_TEXELS || kind == texture::MapKind::BaseColor && cut_out;
+        let color = matches!(kind, texture::MapKind::BaseColor | texture::MapKind::Emissive);
         let (format, record) = match (kind, options.compress) {
-            // Blocks of halves have no alpha.
-            (texture::MapKind::BaseColor, true) if hdr && cut_out => (BlockFormat::RgbaF16, MapFormat::RgbaF16),
-            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) if hdr && tile_texels <= FEW_TEXELS => {
-                (BlockFormat::RgbaF16, MapFormat::RgbaF16)
-            }
-            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) if hdr => {
-                (BlockFormat::Bc6h, MapFormat::Bc6h)
-            }
-            (texture::MapKind::BaseColor | texture::MapKind::Emissive, false) if hdr => {
-                (BlockFormat::RgbaF16, MapFormat::RgbaF16)
-            }
-            (texture::MapKind::BaseColor | texture::MapKind::Emissive, true) => (BlockFormat::Bc7, MapFormat::Bc7Srgb),
-            (texture::MapKind::BaseColor | texture::MapKind::Emissive, false) => {
-                (BlockFormat::Rgba8, MapFormat::Rgba8Srgb)
-            }
+            _ if hdr && plain_halves => (BlockFormat::RgbaF16, MapFormat::RgbaF16),
+            _ if hdr => (BlockFormat::Bc6h, MapFormat::Bc6h),
+            (_, true) if color => (BlockFormat::Bc7, MapFormat::Bc7Srgb),
+            (_, false) if color => (BlockFormat::Rgba8, MapFormat::Rgba8Srgb),
             (texture::MapKind::Normal, true) if tangent => (BlockFormat::Bc5, MapFormat::Bc5),
             (texture::MapKind::Normal, false) if tangent => (BlockFormat::Rg8, MapFormat::Rg8),
             (_, true) => (BlockFormat::Bc7, MapFormat::Bc7Linear),
