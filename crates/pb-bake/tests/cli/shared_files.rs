@@ -23,7 +23,7 @@ const MODELS: &[&str] = &[
     "scan_meshroom_4k/texturedMesh.obj",
 ];
 
-/// Larger, or with so many texels that the bake takes long.
+/// Larger, or with so many texels that all of them take half a minute.
 const LARGE_MODELS: &[&str] = &[
     "gltf_glass_vase/GlassVaseFlowers.glb",
     "gltf_sheenchair/SheenChair.gltf",
@@ -65,7 +65,6 @@ fn textured_models_bake_by_default_and_no_triangle_is_turned_over_in_its_texture
 }
 
 #[test]
-#[ignore = "takes a minute or two"]
 fn large_textured_models_bake_by_default_and_no_triangle_is_turned_over_in_its_texture() {
     bake_all(LARGE_MODELS);
 }
