@@ -34,6 +34,29 @@ pub enum Detail {
     },
 }
 
+/// What is loaded before it is drawn (paper section 4.1).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Prefetch<'a> {
+    /// Also what the view would want from a little nearer, or turned a little: for cameras that go anywhere.
+    pub around: bool,
+    /// Cameras that are expected at once: what they draw is wanted in VRAM.
+    pub soon: &'a [View],
+    /// Cameras that are expected later: what they draw is wanted in RAM.
+    pub later: &'a [View],
+}
+
+impl Prefetch<'_> {
+    /// Around the view alone.
+    pub const AROUND: Prefetch<'static> = Prefetch { around: true, soon: &[], later: &[] };
+    /// Nothing is loaded before it is drawn.
+    pub const OFF: Prefetch<'static> = Prefetch { around: false, soon: &[], later: &[] };
+
+    /// Whether anything is wanted that the view does not draw.
+    pub fn is_off(&self) -> bool {
+        !self.around && self.soon.is_empty() && self.later.is_empty()
+    }
+}
+
 /// Everything that selection may depend on.
 #[derive(Clone, Debug)]
 pub struct Frame<'a> {
@@ -51,6 +74,11 @@ pub struct Frame<'a> {
     /// The same for texture chunks that are not always resident: texels grow until it holds. The two lie in memory
     /// that lends nothing to the other.
     pub texture_budget_bytes: u64,
+    /// Upper bound for the triangles drawn; the error rises until it holds. Clusters that hold the eye may break it
+    /// until their finer data has left.
+    pub max_triangles: u64,
+    /// What is loaded before it is drawn.
+    pub prefetch: Prefetch<'a>,
     /// Seconds since the last frame: how far residency floors may move. `f32::INFINITY` settles them at once.
     pub dt_secs: f32,
 }
@@ -93,7 +121,7 @@ pub struct Plan {
     pub draws: Vec<Draw>,
     /// Index ranges of the coarse buffer, in indices.
     pub coarse: Vec<std::ops::Range<u32>>,
-    /// Chunks wanted, most urgent first; includes those already resident.
+    /// Chunks wanted, most urgent first, each once; includes those already resident.
     pub wants: Vec<Want>,
     /// Retiring chunks that nothing drawn depends on any more: the cache may free them now.
     pub released: Vec<ChunkId>,

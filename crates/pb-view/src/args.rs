@@ -6,6 +6,7 @@ use pb_render::{ColorMode, Gpu, Samples, Style};
 use std::path::PathBuf;
 
 use crate::picture::Format;
+use crate::prefetch::Prefetcher;
 use crate::size::parse_bytes;
 use crate::stage::Bounds;
 
@@ -84,6 +85,18 @@ pub struct Args {
     /// Bound for decoded data in memory; KiB, MiB or GiB.
     #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = parse_bytes)]
     pub ram: u64,
+
+    /// Most triangles of a picture; the allowed error rises until it holds.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_triangles: Option<u64>,
+
+    /// Load what a flypath will show this many seconds ahead; with 0, what the camera's motion leads to.
+    #[arg(long, value_name = "SECS", default_value_t = 2.0, value_parser = parse_lookahead)]
+    pub lookahead: f64,
+
+    /// Load nothing before it is drawn.
+    #[arg(long)]
+    pub no_prefetch: bool,
 
     /// What surfaces are coloured by.
     #[arg(long, visible_alias = "view", value_enum, default_value_t = Color::Shaded)]
@@ -222,7 +235,15 @@ impl Args {
 
     /// The byte bounds.
     pub fn bounds(&self) -> Bounds {
-        Bounds { vram_bytes: self.vram, ram_bytes: self.ram }
+        Bounds { vram_bytes: self.vram, ram_bytes: self.ram, max_triangles: self.max_triangles.unwrap_or(u64::MAX) }
+    }
+
+    /// What is loaded before it is drawn.
+    pub fn prefetcher(&self) -> Prefetcher {
+        match self.no_prefetch {
+            true => Prefetcher::off(),
+            false => Prefetcher::new(self.lookahead),
+        }
     }
 
     /// Colours and debug switches.
@@ -281,6 +302,14 @@ fn parse_error_px(text: &str) -> Result<f32, String> {
     match (1e-3..=1e4).contains(&value) {
         true => Ok(value),
         false => Err(format!("{text} is out of range; write a number of pixels from 0.001 to 10000")),
+    }
+}
+
+fn parse_lookahead(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("'{text}' is no number of seconds"))?;
+    match (0.0..=60.0).contains(&value) {
+        true => Ok(value),
+        false => Err(format!("{text} is out of range; write a number of seconds from 0 to 60")),
     }
 }
 

@@ -12,6 +12,7 @@ use crate::args::Args;
 use crate::export::write_ply;
 use crate::failure::Outcome;
 use crate::flypath::{Flypath, default_flight};
+use crate::prefetch::Prefetcher;
 use crate::size::show_bytes;
 use crate::stage::{Moment, Stage, open_model, subject};
 use crate::stats::{FrameStats, StatsFile};
@@ -43,7 +44,8 @@ pub fn run(args: &Args) -> Result<Outcome> {
     if args.plain_draws {
         stage.renderer.set_multi_draw(&gpu, false);
     }
-    let mut run = Run { args, gpu: &gpu, target, stats: args.stats.as_deref().map(StatsFile::create).transpose()? };
+    let stats = args.stats.as_deref().map(StatsFile::create).transpose()?;
+    let mut run = Run { args, gpu: &gpu, target, stats, prefetcher: args.prefetcher() };
     let mut total = Total::default();
     for frame in 0..flight.frames() {
         total.add(run.frame(&mut stage, &flight, frame)?);
@@ -68,6 +70,7 @@ struct Run<'a> {
     gpu: &'a Gpu,
     target: Offscreen,
     stats: Option<StatsFile>,
+    prefetcher: Prefetcher,
 }
 
 impl Run<'_> {
@@ -75,6 +78,8 @@ impl Run<'_> {
         let start = Instant::now();
         let key = flight.at(flight.time(frame));
         let moment = Moment { key, size: self.args.size, detail: self.args.detail(), dt_secs: flight.dt_secs() as f32 };
+        let at = Some((flight, flight.time(frame)));
+        stage.expect(self.prefetcher.expect(&key, flight.dt_secs(), at, stage.latency()));
         match self.args.settle {
             true => stage.settle(self.gpu, &moment)?,
             false => stage.advance(self.gpu, &moment)?,

@@ -11,6 +11,7 @@ mod headless;
 pub mod navigate;
 mod overlay;
 mod picture;
+pub mod prefetch;
 mod screen;
 mod size;
 pub mod stage;

@@ -4,7 +4,7 @@
 //! settle; draw what is not resident; decide by itself what is loaded.
 
 use anyhow::{Context, Result};
-use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, View};
+use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View};
 use pb_lod::progressive_buffers::codec::Chunk;
 use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
@@ -16,13 +16,14 @@ use pb_render::{
 use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
 use pb_stream::loader::{LoadResult, Loader};
 use rayon::prelude::*;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
 use crate::export::ShownFrame;
 use crate::flypath::Keyframe;
 use crate::navigate::Subject;
+use crate::prefetch::{Expected, Latency};
 use crate::stats::FrameStats;
 
 /// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
@@ -34,13 +35,15 @@ const NEVER_FITS: u64 = 1 << 56;
 /// Most rounds of settling one frame.
 const MAX_SETTLE_ROUNDS: u32 = 100_000;
 
-/// Byte bounds of the upper tiers.
+/// Bounds of the upper tiers and of the picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
     /// Model data on the adapter.
     pub vram_bytes: u64,
     /// Decoded chunks in memory.
     pub ram_bytes: u64,
+    /// Triangles of a picture.
+    pub max_triangles: u64,
 }
 
 /// One frame's place, time and wishes.
@@ -85,7 +88,14 @@ pub struct Stage {
     always_resident: Vec<u32>,
     /// Of geometry with the coarse buffer, and of textures without their tails.
     budgets: [u64; 2],
+    max_triangles: u64,
     plan: Plan,
+    /// What is loaded ahead.
+    expected: Expected,
+    /// Sum of the frames' times, seconds; when chunks were asked for; how long they take.
+    clock: f64,
+    asked_at: BTreeMap<pb_stream::ChunkId, f64>,
+    latency: Latency,
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
     near: f64,
@@ -175,7 +185,12 @@ impl Stage {
             resident: vec![false; chunks],
             always_resident: (0..chunks as u32).filter(|&c| model.always_resident(ChunkId(c))).collect(),
             budgets: [coarse_bytes + heap_bytes, texture_bytes],
+            max_triangles: bounds.max_triangles,
             plan: Plan::default(),
+            expected: Expected { around: true, ..Expected::default() },
+            clock: 0.0,
+            asked_at: BTreeMap::new(),
+            latency: Latency::default(),
             switch: None,
             near: s.radius * 2.0 * NEAR,
             late_frames: 0,
@@ -191,6 +206,7 @@ impl Stage {
 
     /// One frame: what is here is drawn, what is wanted is asked for.
     pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
+        self.clock += moment.dt_secs as f64;
         self.take_loaded();
         self.step(gpu, moment, moment.dt_secs);
         self.set_distances(gpu, moment);
@@ -217,6 +233,8 @@ impl Stage {
     /// Selects, and carries out what the cache says.
     fn step(&mut self, gpu: &Gpu, moment: &Moment, dt_secs: f32) {
         self.mark_resident();
+        let views = |keys: &[Keyframe]| keys.iter().map(|k| self.camera(k).view(moment.size)).collect::<Vec<View>>();
+        let (soon, later) = (views(&self.expected.soon), views(&self.expected.later));
         let frame = Frame {
             views: &[self.view(moment)],
             resident: &self.resident,
@@ -224,6 +242,8 @@ impl Stage {
             detail: moment.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],
+            max_triangles: self.max_triangles,
+            prefetch: Prefetch { around: self.expected.around, soon: &soon, later: &later },
             dt_secs,
         };
         self.plan = self.selector.select(&frame);
@@ -238,6 +258,7 @@ impl Stage {
     fn carry_out(&mut self, gpu: &Gpu, command: Command) {
         match command {
             Command::Load(chunk) => {
+                self.asked_at.insert(chunk, self.clock);
                 self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
             }
             Command::DropRam(chunk) => self.decoded[chunk.0 as usize] = None,
@@ -281,7 +302,20 @@ impl Stage {
         }
     }
 
+    /// From now on loads what these cameras will show.
+    pub fn expect(&mut self, expected: Expected) {
+        self.expected = expected;
+    }
+
+    /// How long loads take.
+    pub fn latency(&self) -> &Latency {
+        &self.latency
+    }
+
     fn accept(&mut self, chunk: pb_stream::ChunkId, result: LoadResult<Loaded>) {
+        if let Some(asked_at) = self.asked_at.remove(&chunk) {
+            self.latency.add(self.clock - asked_at);
+        }
         match result {
             Ok(data) => {
                 self.decoded[chunk.0 as usize] = Some(data);

@@ -17,6 +17,7 @@ use crate::failure::Outcome;
 use crate::flypath::{Flypath, Keyframe};
 use crate::navigate::{Mode, Navigator, Push};
 use crate::overlay::Overlay;
+use crate::prefetch::Prefetcher;
 use crate::screen::{Next, Screen};
 use crate::size::show_bytes;
 use crate::stage::{Moment, Stage, open_model, subject};
@@ -109,6 +110,7 @@ struct Shown {
     recorded: Option<Vec<Keyframe>>,
     style: Style,
     detail: Detail,
+    prefetcher: Prefetcher,
     push: Push,
     buttons: Buttons,
     clock: Clock,
@@ -158,6 +160,7 @@ impl Shown {
             recorded: args.record.as_ref().map(|_| Vec::new()),
             style: args.style(),
             detail: args.detail(),
+            prefetcher: args.prefetcher(),
             push: Push::default(),
             buttons: Buttons::default(),
             clock: Clock { start: now, last: now, status: now, frames: 0 },
@@ -317,6 +320,8 @@ impl Shown {
         self.record(key);
         let size = self.screen.canvas.size;
         let moment = Moment { key, size, detail: self.detail, dt_secs: dt_secs as f32 };
+        let flight = self.playing.as_ref().map(|p| (&p.flight, p.t_secs));
+        self.stage.expect(self.prefetcher.expect(&key, dt_secs, flight, self.stage.latency()));
         self.stage.advance(&self.gpu, &moment)?;
         let color = picture.texture.create_view(&Default::default());
         let surface = Surface { color: &color, canvas: &self.screen.canvas };

@@ -32,6 +32,9 @@ const SOON_MARGIN: f32 = 0.8;
 /// The same for data that only has to be in RAM. The walk looks no further than this.
 const MAYBE_MARGIN: f32 = 0.5;
 
+/// Part of a byte budget that is kept free for what is not drawn yet, 1 of so many, where not all fits anyway.
+const PREFETCH_SHARE: u64 = 16;
+
 /// Chooses levels, residency floors and wants; one per open archive.
 pub struct Selector {
     tables: Tables,
@@ -40,6 +43,8 @@ pub struct Selector {
     texture_floors: Option<Floors>,
     /// Of geometry and of textures.
     controls: [DetailControl; 2],
+    /// Per chunk: used within one frame.
+    wanted: Vec<bool>,
 }
 
 impl Selector {
@@ -48,7 +53,7 @@ impl Selector {
         let tables = Tables::new(tables);
         let floors = Floors::new(&tables, Ladder::Geometry);
         let texture_floors = tables.has_textures().then(|| Floors::new(&tables, Ladder::Texture));
-        Selector { tables, floors, texture_floors, controls: Default::default() }
+        Selector { tables, floors, texture_floors, controls: Default::default(), wanted: Vec::new() }
     }
 
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
@@ -91,14 +96,9 @@ impl Selector {
         assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
         let eyes = Eyes::new(frame.views, frame.detail, t);
         let finest = DetailControl::finest(&self.controls, frame.detail);
-        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), MAYBE_MARGIN);
-        let [geometry, textures] = &mut self.controls;
-        let budgets = [frame.vram_budget_bytes, frame.texture_budget_bytes];
-        let (target, now) = geometry.step(frame, budgets[0], |x| bytes_wanted(t, Ladder::Geometry, &walk, x));
-        let (texture_target, texels) = match t.has_textures() {
-            true => textures.step(frame, budgets[1], |x| bytes_wanted(t, Ladder::Texture, &walk, x)),
-            false => textures.step(frame, budgets[1], |_| 0),
-        };
+        let margin = if frame.prefetch.around { MAYBE_MARGIN } else { 1.0 };
+        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), margin);
+        let [(target, now), (texture_target, texels)] = targets(t, &mut self.controls, &self.floors, &walk, frame);
         let drawn = Switch::new(now, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now), ..Plan::default() };
@@ -109,7 +109,11 @@ impl Selector {
             plan.texture_floors = floors.all().to_vec();
         }
         self.draw(&walk, &eyes, &drawn, &mut plan);
-        self.want(&walk, [&target, &texture_target], frame, &mut plan);
+        let targets = [&target, &texture_target];
+        self.want(&walk, targets, frame, &mut plan);
+        self.want_ahead(frame.prefetch.soon, Class::Soon, targets, frame, &mut plan);
+        self.want_ahead(frame.prefetch.later, Class::Maybe, targets, frame, &mut plan);
+        self.order_wants(frame, &mut plan);
         plan.floors = self.floors.all().to_vec();
         plan.settled = floors_stand && self.controls.iter().all(DetailControl::settled) && plan.missing_chunks == 0;
         plan
@@ -141,36 +145,54 @@ impl Selector {
         plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
     }
 
-    /// Wanted chunks, most urgent first; a target each for geometry and textures.
+    /// Chunks that the views of this frame want; a target each for geometry and textures.
     fn want(&self, walk: &Walk, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        let ladders = [Ladder::Geometry, Ladder::Texture];
-        let there = if self.tables.has_textures() { 2 } else { 1 };
-        for (ladder, target) in ladders.into_iter().zip(targets).take(there) {
-            let switch = Switch::new(target.detail, 1.0, self.tables.quantum);
+        let t = &self.tables;
+        for (ladder, target) in t.ladders().zip(targets) {
+            let switch = Switch::new(target.detail, 1.0, t.quantum);
             for seen in &walk.seen {
                 let reach = seen.reach.max(seen.girth * target.nearest);
-                self.want_cluster(ladder, &Seen { reach, ..*seen }, &switch, frame, plan);
+                let coarsest = t.coarsest(ladder, seen.cluster);
+                let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
+                let levels = match (seen.place, frame.prefetch.around) {
+                    (Place::Visible, true) => [level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)],
+                    (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
+                    (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
+                    (Place::Visible, false) => [level(1.0); 3],
+                    (_, false) if walk.touches_visible(t, seen.cluster) => [coarsest, level(1.0), level(1.0)],
+                    (_, false) => continue,
+                };
+                self.want_cluster(ladder, seen, levels, frame, plan);
             }
         }
-        plan.wants.sort_by(compare_wants);
-        plan.missing_chunks = plan
-            .wants
-            .iter()
-            .take_while(|w| w.class == Class::Now)
-            .filter(|w| !frame.resident[w.chunk.0 as usize])
-            .count() as u32;
     }
 
-    fn want_cluster(&self, ladder: Ladder, seen: &Seen, switch: &Switch, frame: &Frame, plan: &mut Plan) {
+    /// Chunks that cameras to come will draw, of class Soon or Maybe.
+    fn want_ahead(&self, views: &[View], class: Class, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
+        if views.is_empty() {
+            return;
+        }
+        let t = &self.tables;
+        let eyes = Eyes::new(views, frame.detail, t);
+        let finest = DetailControl::finest(&self.controls, frame.detail);
+        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), 1.0);
+        for (ladder, target) in t.ladders().zip(targets) {
+            let switch = Switch::new(target.detail, 1.0, t.quantum);
+            for seen in walk.seen.iter().filter(|s| s.place == Place::Visible || walk.touches_visible(t, s.cluster)) {
+                let reach = seen.reach.max(seen.girth * target.nearest);
+                let level = t.ladder_lod(ladder, &switch, seen.cluster, reach) as u32;
+                let coarsest = t.coarsest(ladder, seen.cluster);
+                let soon = if class == Class::Soon { level } else { coarsest };
+                self.want_cluster(ladder, seen, [coarsest, soon, level], frame, plan);
+            }
+        }
+    }
+
+    /// Wants the chunks of a cluster; by class, Now first, from which level on.
+    fn want_cluster(&self, ladder: Ladder, seen: &Seen, levels: [u32; 3], frame: &Frame, plan: &mut Plan) {
         let t = &self.tables;
         let coarsest = t.coarsest(ladder, seen.cluster);
-        let level = |margin: f32| t.ladder_lod(ladder, switch, seen.cluster, seen.reach * margin) as u32;
-        // Finest level of each class; a class that wants nothing names the coarsest level.
-        let (now, soon, maybe) = match seen.place {
-            Place::Visible => (level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)),
-            Place::Ring => (coarsest, level(1.0), level(MAYBE_MARGIN)),
-            Place::Elsewhere => (coarsest, coarsest, level(1.0)),
-        };
+        let [now, soon, maybe] = levels;
         for i in maybe..=coarsest {
             let chunk = t.chunk(ladder, seen.cluster, i);
             let visible_hole = seen.place == Place::Visible && !frame.resident[chunk.0 as usize];
@@ -186,6 +208,21 @@ impl Selector {
             let error_px = t.error_if_missing(ladder, seen.cluster, i) / seen.pixel;
             plan.wants.push(Want { chunk, class, error_px });
         }
+    }
+
+    /// Most urgent first, each chunk once; counts what is missing.
+    fn order_wants(&mut self, frame: &Frame, plan: &mut Plan) {
+        plan.wants.sort_by(compare_wants);
+        let wanted = &mut self.wanted;
+        wanted.clear();
+        wanted.resize(self.tables.chunks(), false);
+        plan.wants.retain(|w| !std::mem::replace(&mut wanted[w.chunk.0 as usize], true));
+        plan.missing_chunks = plan
+            .wants
+            .iter()
+            .take_while(|w| w.class == Class::Now)
+            .filter(|w| !frame.resident[w.chunk.0 as usize])
+            .count() as u32;
     }
 
     /// The level whose index buffer may draw a cluster for this view: `floor` of the smallest lod in its
@@ -214,6 +251,42 @@ fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64
     });
     let always = if ladder == Ladder::Geometry { t.coarse_bytes } else { 0 };
     always.saturating_add(finer.fold(0, u64::saturating_add))
+}
+
+/// For geometry and textures: what the budgets allow, and the detail of this frame on its way there.
+fn targets(
+    t: &Tables,
+    controls: &mut [DetailControl; 2],
+    floors: &Floors,
+    walk: &Walk,
+    frame: &Frame,
+) -> [(Target, Detail); 2] {
+    let kept_free = |budget: u64, all: u64| match frame.prefetch.is_off() || budget >= all {
+        true => budget,
+        false => budget - budget / PREFETCH_SHARE,
+    };
+    let room = kept_free(frame.vram_budget_bytes, t.all_bytes[0]);
+    let texture_room = kept_free(frame.texture_budget_bytes, t.all_bytes[1]);
+    let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walk, x) <= frame.max_triangles;
+    let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, walk, x) <= room && few(x);
+    let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, walk, x) <= texture_room;
+    let [geometry, textures] = controls;
+    [
+        geometry.step(frame, fits, |detail| few(&Target { detail, nearest: 0.0 })),
+        textures.step(frame, texels_fit, |_| true),
+    ]
+}
+
+/// Triangles that are drawn at a target.
+fn triangles(t: &Tables, floors: &Floors, walk: &Walk, target: &Target) -> u64 {
+    let switch = Switch::new(target.detail, 1.0, t.quantum);
+    let seen = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
+        let reach = s.reach.max(s.girth * target.nearest);
+        let lod = t.lod(&switch, s.cluster, reach).max(floors.floor(s.cluster));
+        t.triangles(s.cluster, (lod as u32).min(t.levels - 1)) as u64
+    });
+    let coarse = walk.coarse.iter().map(|r| t.coarse_indices(r.clone())).map(|r| u64::from(r.end - r.start) / 3);
+    seen.sum::<u64>() + coarse.sum::<u64>()
 }
 
 /// Sorts ranges and joins those that touch.

@@ -39,15 +39,26 @@ impl DetailControl {
         coarsened(asked, controls.iter().map(|c| c.start(asked)).fold(1.0, f64::min))
     }
 
-    /// The finest target on the ladder whose `bytes` fit the `budget`, and the detail to use in this frame.
-    pub fn step(&mut self, frame: &Frame, budget: u64, bytes: impl Fn(&Target) -> u64) -> (Target, Detail) {
-        let fits = |rung: i32| bytes(&Target::new(frame.detail, STEP.powi(rung))) <= budget;
-        let target = STEP.powi(first_that(RUNGS, fits));
+    /// The finest target on the ladder that `fits`, and the detail to use in this frame: on its way there, but at once as
+    /// coarse as `may_be_drawn` asks for.
+    pub fn step(
+        &mut self,
+        frame: &Frame,
+        fits: impl Fn(&Target) -> bool,
+        may_be_drawn: impl Fn(Detail) -> bool,
+    ) -> (Target, Detail) {
+        let target = STEP.powi(first_that(RUNGS, |rung| fits(&Target::new(frame.detail, STEP.powi(rung)))));
         let reach = RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64);
         let start = self.start(frame.detail);
         let gain = match self.last {
             Some(_) => target.clamp(start / reach, start * reach),
             None => target,
+        };
+        let gain = match may_be_drawn(coarsened(frame.detail, gain)) {
+            true => gain,
+            false => {
+                gain * STEP.powi(first_that(RUNGS, |r| may_be_drawn(coarsened(frame.detail, gain * STEP.powi(r)))))
+            }
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;

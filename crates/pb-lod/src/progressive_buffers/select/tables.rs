@@ -92,6 +92,8 @@ pub(super) struct Tables {
     pub levels: u32,
     /// Bytes of all coarsest chunks of geometry: always resident.
     pub coarse_bytes: u64,
+    /// Bytes of all that can ever be wanted, geometry and textures.
+    pub all_bytes: [u64; 2],
     pub nodes: Vec<Node>,
     spheres: Vec<Sphere>,
     /// `cluster * levels + level`, increasing in level, 0 at level 0.
@@ -119,6 +121,7 @@ impl Tables {
             quantum,
             levels: t.model.levels,
             coarse_bytes: t.chunk_bytes.iter().skip(levels - 1).step_by(levels).take(count).sum(),
+            all_bytes: [0; 2],
             nodes: Vec::new(),
             spheres: t.clusters.iter().map(|c| Sphere { center: c.center, radius: c.radius }).collect(),
             errors: Vec::with_capacity(count * levels),
@@ -151,6 +154,12 @@ impl Tables {
             }
         }
         out.nodes = out.reduce(t.nodes);
+        let finest = |ladder, c| if ladder == Ladder::Texture { out.tiles[c as usize].finest } else { 0 };
+        let all = |ladder| (0..count as u32).map(move |c| (c, ladder));
+        let bytes = |(c, ladder)| out.bytes_above_coarsest(ladder, c, finest(ladder, c));
+        let geometry = all(Ladder::Geometry).map(bytes).sum::<u64>() + out.coarse_bytes;
+        let textures = if kinds == 2 { all(Ladder::Texture).map(bytes).sum() } else { 0 };
+        out.all_bytes = [geometry, textures];
         out
     }
 
@@ -182,6 +191,11 @@ impl Tables {
 
     pub fn chunks(&self) -> usize {
         self.finer_bytes.len()
+    }
+
+    /// Those that the model has.
+    pub fn ladders(&self) -> impl Iterator<Item = Ladder> {
+        [Ladder::Geometry, Ladder::Texture].into_iter().take(if self.has_textures() { 2 } else { 1 })
     }
 
     pub fn has_textures(&self) -> bool {

@@ -1,6 +1,7 @@
 use glam::{DVec3, Vec4};
 
 use super::*;
+use crate::plan::Prefetch;
 use crate::progressive_buffers::display::GridEye;
 use crate::progressive_buffers::displayed_surface::{Surface, displayed_surface};
 use crate::progressive_buffers::grid_torus::GridTorus;
@@ -50,6 +51,10 @@ impl Bench {
     }
 
     fn select(&mut self, views: &[View], dt_secs: f32) -> Plan {
+        self.select_with(views, Prefetch::AROUND, u64::MAX, dt_secs)
+    }
+
+    fn select_with(&mut self, views: &[View], prefetch: Prefetch, max_triangles: u64, dt_secs: f32) -> Plan {
         self.selector.select(&Frame {
             views,
             resident: &self.resident,
@@ -57,6 +62,8 @@ impl Bench {
             detail: self.detail,
             vram_budget_bytes: self.budget,
             texture_budget_bytes: 0,
+            max_triangles,
+            prefetch,
             dt_secs,
         })
     }
@@ -339,4 +346,59 @@ fn a_parent_that_differs_on_one_side_of_a_border_is_seen_as_a_crack() {
         }
     }
     assert!(bench.surface(&plan, &eye).unmatched_edges() > 0);
+}
+
+#[test]
+fn without_prefetch_only_what_is_drawn_is_wanted() {
+    let eye = view(DVec3::new(3.0, 0.5, 0.5));
+    let mut bench = Bench::new(48, 4);
+    let around = bench.select(std::slice::from_ref(&eye), f32::INFINITY);
+    let off = bench.select_with(std::slice::from_ref(&eye), Prefetch::OFF, u64::MAX, f32::INFINITY);
+    let now = |plan: &Plan| plan.wants.iter().filter(|w| w.class == Class::Now).copied().collect::<Vec<Want>>();
+    assert_eq!(now(&around), now(&off));
+    // Nothing but what is drawn, and neighbours of that: they move the common border.
+    let drawn: Vec<u32> = now(&off).iter().map(|w| w.chunk.0 / 4).collect();
+    let beside = |w: &Want| bench.selector.tables.neighbours(w.chunk.0 / 4).iter().any(|c| drawn.contains(c));
+    let rest: Vec<&Want> = off.wants.iter().filter(|w| w.class < Class::Now).collect();
+    assert!(rest.iter().all(|w| w.class == Class::Soon && beside(w)), "{rest:?}");
+    assert!(around.wants.len() > off.wants.len());
+}
+
+#[test]
+fn what_cameras_to_come_draw_is_wanted_before() {
+    let [here, soon, later] = [DVec3::X, DVec3::Y, -DVec3::X].map(|d| view(d * 2.5 + DVec3::Z * 0.2));
+    let mut bench = Bench::new(48, 4);
+    let alone = |bench: &mut Bench, view: &View| -> Vec<Want> {
+        let plan = bench.select_with(std::slice::from_ref(view), Prefetch::OFF, u64::MAX, f32::INFINITY);
+        plan.wants
+    };
+    let [now, then, at_last] = [&here, &soon, &later].map(|v| alone(&mut bench, v));
+    let prefetch = Prefetch { around: false, soon: &[soon], later: &[later] };
+    let plan = bench.select_with(&[here], prefetch, u64::MAX, f32::INFINITY);
+    let wanted = |c: &ChunkId| plan.wants.iter().find(|w| w.chunk == *c).map(|w| w.class);
+    // The coarse buffer has the coarsest until something finer is drawn.
+    let least = |wants: &[Want], class: Class| {
+        let mut finer = wants.iter().filter(|w| w.chunk.0 % 4 != 3);
+        finer.all(|w| wanted(&w.chunk) >= Some(w.class.min(class)))
+    };
+    assert!(least(&now, Class::Now) && least(&then, Class::Soon) && least(&at_last, Class::Maybe));
+    let of = |class| plan.wants.iter().filter(|w| w.class == class).count();
+    assert!(of(Class::Soon) > 0 && of(Class::Maybe) > 0);
+    let mut chunks: Vec<ChunkId> = plan.wants.iter().map(|w| w.chunk).collect();
+    chunks.sort_unstable();
+    assert!(chunks.windows(2).all(|c| c[0] < c[1]), "a chunk is wanted twice");
+}
+
+#[test]
+fn the_error_rises_until_the_triangles_are_few_enough_and_no_further() {
+    let views = [view(DVec3::new(4.0, 0.5, 0.5))];
+    let mut bench = Bench::new(48, 4).all_resident();
+    let all = bench.select(&views, f32::INFINITY);
+    let most = all.triangles / 3;
+    let plan = bench.select_with(&views, Prefetch::AROUND, most, f32::INFINITY);
+    assert!(plan.triangles <= most && plan.triangles > most / 2, "{} of {most}", plan.triangles);
+    // At once, also where detail moves slowly.
+    bench.select(&views, f32::INFINITY);
+    let plan = bench.select_with(&views, Prefetch::AROUND, most, 1.0 / 60.0);
+    assert!(plan.triangles <= most, "{} of {most}", plan.triangles);
 }

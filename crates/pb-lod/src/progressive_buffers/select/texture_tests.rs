@@ -1,6 +1,7 @@
 //! Texture mips: wanted by texel size, with floors and a budget of their own.
 
 use super::*;
+use crate::plan::Prefetch;
 use crate::progressive_buffers::grid_torus::GridTorus;
 use glam::{DVec3, Vec4};
 
@@ -46,6 +47,8 @@ impl Bench {
             detail: Detail::ErrorPx(tau),
             vram_budget_bytes: u64::MAX,
             texture_budget_bytes: budget,
+            max_triangles: u64::MAX,
+            prefetch: Prefetch::AROUND,
             dt_secs,
         })
     }

@@ -166,6 +166,11 @@ pub(super) fn walk(t: &Tables, eyes: &Eyes, switch: &Switch, margin: f32) -> Wal
 }
 
 impl Walk {
+    /// True next to a visible cluster: its floor moves their common border, and so triangles that are seen.
+    pub fn touches_visible(&self, t: &Tables, cluster: u32) -> bool {
+        t.neighbours(cluster).iter().any(|&c| self.visible[c as usize])
+    }
+
     fn see(&mut self, t: &Tables, eyes: &Eyes, cluster: u32) {
         let (reach, pixel) = eyes.reach(t, cluster);
         let place = eyes.place(&t.sphere(cluster)).0;
