@@ -32,7 +32,7 @@ fn surface_of(f: Fragment) -> Surface {
     s.uv = p.uv;
     s.side = f32(1u << (p.sides & 15u));
     s.lod = p.lod;
-    s.shown_lod = clamp(p.lod, p.finest, p.last);
+    s.shown_lod = clamp(p.lod, min(p.finest, p.coarsest), p.coarsest);
     s.finest_lod = p.finest;
     let base = map_of(BASE_COLOR);
     if base != NO_MAP {

@@ -15,6 +15,8 @@ const ORM = 1u;
 const NORMAL = 2u;
 const EMISSIVE = 3u;
 const NO_MAP = 255u;
+// log2 of the narrowest tile in which charts are apart, 32 texels: coarser levels mix charts and are not drawn.
+const CHARTS_APART = 5u;
 
 // What a pixel covers of a tile.
 struct Footprint {
@@ -28,8 +30,9 @@ struct Footprint {
     lod: f32,
     // Finest level that is resident.
     finest: f32,
-    // Coarsest level, 4 x 4 texels.
+    // Coarsest level that is stored, 4 x 4 texels, and that is drawn.
     last: f32,
+    coarsest: f32,
     sides: u32,
     first_place: u32,
 }
@@ -54,9 +57,10 @@ fn footprint(cluster: u32, uv: vec2<f32>, dx: vec2<f32>, dy: vec2<f32>) -> Footp
     let direction = select(vec2<f32>(1.0, 0.0), row / max(l, 1e-30), l > 1e-30);
     let lod = log2(max(max(short, long / view.anisotropy), 1e-6));
     let last = f32((sides & 15u) - 2u);
+    let coarsest = f32(max(sides & 15u, CHARTS_APART) - CHARTS_APART);
     let first_place = tiles[view.clusters + cluster * 2u + 1u];
     let finest = bitcast<f32>(tiles[cluster]);
-    return Footprint(cluster, uv, direction * (long / side), long, lod, finest, last, sides, first_place);
+    return Footprint(cluster, uv, direction * (long / side), long, lod, finest, last, coarsest, sides, first_place);
 }
 
 // Index of a kind of map among the model's, or NO_MAP.
@@ -64,10 +68,12 @@ fn map_of(kind: u32) -> u32 {
     return (view.maps >> (kind * 8u)) & 255u;
 }
 
-// The level that is sampled of a map: between the finest that is there and 4 x 4 texels.
+// The level that is sampled of a map: between the finest that is there and the coarsest that is drawn; of a map of fewer
+// texels its first.
 fn lod_in_map(p: Footprint, map: u32) -> f32 {
     let first = f32((p.sides >> (4u + 4u * map)) & 15u);
-    return clamp(p.lod, min(max(first, p.finest), p.last), p.last);
+    let coarsest = max(first, p.coarsest);
+    return clamp(p.lod, min(max(first, p.finest), coarsest), coarsest);
 }
 
 // One level of a map: the mean of samples along the longer axis.
