@@ -53,7 +53,7 @@ fn a_texel_as_large_as_a_pixel_is_shown_exactly() {
 fn mips_are_mixed_by_the_size_of_a_pixel() {
     let Some(gpu) = crate::adapter("trilinear filtering") else { return };
     let (model, renderer) = level_colors(&gpu);
-    for lod in [-2.0, 0.0, 0.25, 0.5, 1.0, 1.75, 3.5, 4.0, 4.5, 6.0f64] {
+    for lod in [-2.0, 0.0, 0.25, 0.5, 1.0, 1.75, 3.5, 4.0, 4.5f64] {
         // The square fills a picture of 32 pixels at lod 0; its middle does so everywhere.
         let picture = albedo(32, (-lod).exp2(), &[0.0]).take(&gpu, &model, &renderer);
         let expected = 200.0 - 40.0 * lod.clamp(0.0, 4.0);
