@@ -1,6 +1,7 @@
 //! Independent measurements: nothing here uses the product's crates, so that no mistake can confirm itself.
 
 mod chain;
+mod colonnade;
 mod compare;
 mod distance;
 mod flights;
@@ -119,6 +120,10 @@ enum Measurement {
     TexturesHeading,
     /// Make a textured mesh from a seed.
     Textured(textured::Arguments),
+    /// Make a textured scene of any size from a seed, a colonnade in ruins, and a flypath for it beside it.
+    Colonnade(colonnade::Arguments),
+    /// The flypath of a colonnade alone: longer, shorter, or at another rate.
+    ColonnadeFlypath(colonnade::FlightArguments),
 }
 
 fn main() -> ExitCode {
@@ -188,6 +193,8 @@ fn run(command: Measurement) -> Result<bool> {
         Measurement::Textures(arguments) => textures::run(&arguments)?,
         Measurement::TexturesHeading => println!("{}", textures::HEADING),
         Measurement::Textured(arguments) => println!("{:#}", textured::run(&arguments)?),
+        Measurement::Colonnade(arguments) => println!("{:#}", colonnade::run(&arguments)?),
+        Measurement::ColonnadeFlypath(arguments) => println!("{:#}", colonnade::run_flight(&arguments)?),
     }
     Ok(true)
 }

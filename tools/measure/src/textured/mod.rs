@@ -1,7 +1,7 @@
 //! Textured meshes made from a seed: a torus cut into islands, which lie shuffled in an image, as in atlases of
 //! photogrammetry. The image is a function of the surface, so islands that meet on it agree on its colours.
 
-mod paint;
+pub mod paint;
 
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::{Value, json};
