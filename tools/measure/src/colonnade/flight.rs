@@ -21,7 +21,9 @@ const EYE: f64 = 1.7;
 /// Share of the time that is spent on the way through, and until the look is back at the scene.
 const THROUGH: f64 = 0.78;
 const TURNED: f64 = 0.90;
-/// Keyframes per walk and for each second of the 60 of the usual one.
+/// Half of the part of the way that says where eyes look.
+const GLANCE: f64 = 0.09;
+/// Keyframes of a flight.
 const KEYS: u32 = 180;
 
 #[derive(clap::Args)]
@@ -86,14 +88,14 @@ fn along(way: &[DVec2], share: f64) -> DVec2 {
 /// Eye and target at a share of the time.
 fn look(way: &[DVec2], layout: &Layout, share: f64) -> (DVec3, DVec3) {
     let walked = (share / THROUGH).min(1.0);
-    let (here, ahead) = (along(way, walked), along(way, walked + 0.02));
-    let behind = along(way, walked - 0.02);
+    // Eyes follow the way as a whole rather than its every turn.
+    let [here, ahead, behind] = [0.0, GLANCE, -GLANCE].map(|by| along(way, walked + by));
     let away = ((share - THROUGH) / (1.0 - THROUGH)).max(0.0);
     // Backwards, up, and a little to the side.
-    let retreat = DVec3::new(26.0 * away.powf(1.6) + 3.0 * away, 10.0 * away * away, -7.0 * away * away);
+    let retreat = DVec3::new(22.0 * away.powf(1.6) + 3.0 * away, 13.0 * away.powf(1.3), -7.0 * away * away);
     let eye = DVec3::new(here.x, EYE, here.y) + retreat;
     let heading = (ahead - behind).normalize_or(DVec2::X);
-    let sway = 0.55 * (share * 9.0 * TAU).sin() * ramp(0.0, 0.1, share) * ramp(THROUGH, THROUGH - 0.08, share);
+    let sway = 0.42 * (share * 9.0 * TAU).sin() * ramp(0.0, 0.1, share) * ramp(THROUGH, THROUGH - 0.08, share);
     let turn = PI * ramp(THROUGH - 0.04, TURNED, share);
     let yaw = heading.y.atan2(heading.x) + sway + turn;
     let walking = 0.10 + 0.16 * (share * 5.0 * TAU).sin();
