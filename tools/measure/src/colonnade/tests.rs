@@ -140,16 +140,21 @@ fn charts_of_a_unit_do_not_overlap_and_stay_inside() {
 
 #[test]
 fn pillars_differ_in_shape_and_in_texture() {
-    let scene = Scene::new(10_000, None, 1);
-    let [a, b] = [0, 1].map(|i| (mesh_of(&scene.units[i].parts[0]), scene.units[i].parts[0].color(0, [0.3, 0.6])));
-    let offset = scene.layout.foot(1, 0) - scene.layout.foot(0, 0);
-    let moved =
-        a.0.positions
-            .iter()
-            .zip(&b.0.positions)
-            .filter(|(a, b)| (DVec3::from_array(**a) + offset - DVec3::from_array(**b)).length() > 1e-3);
-    assert!(moved.count() * 2 > a.0.positions.len());
-    assert_ne!(a.1, b.1);
+    let layout = Layout { columns: 3, rows: 2 };
+    let all: Vec<(Vec<DVec3>, [f64; 3])> = (0..3)
+        .map(|column| {
+            let (foot, seed) = (layout.foot(column, 0), layout.seed(column, 0, 1));
+            let pillar = lathe::pillar(foot, seed, false);
+            let places =
+                pillar.positions([40, 100]).iter().map(|p| DVec3::from_array(p.map(f64::from)) - foot).collect();
+            (places, pillar.color(100, 1, [0.3, 0.6]))
+        })
+        .collect();
+    for (a, b) in [(&all[0], &all[1]), (&all[1], &all[2]), (&all[0], &all[2])] {
+        let moved = a.0.iter().zip(&b.0).filter(|(a, b)| (**a - **b).length() > 1e-3).count();
+        assert!(moved * 2 > a.0.len(), "{moved}");
+        assert!((0..3).any(|k| (a.1[k] - b.1[k]).abs() > 0.01), "{:?} {:?}", a.1, b.1);
+    }
 }
 
 #[test]
