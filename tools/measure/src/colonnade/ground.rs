@@ -136,7 +136,7 @@ impl Ground {
 
     /// `cells`: where the charts of the top with its sides, and of the bottom, lie.
     pub fn topology(&self, [columns, lines]: [usize; 2], cells: &[Rect]) -> Topology {
-        let mut topology = Topology::default();
+        let mut topology = Topology::with_room_for(self.counts([columns, lines]));
         let share = |[i, j]: [usize; 2]| [i as f64 / columns as f64, j as f64 / lines as f64];
         let top = |at: [usize; 2]| (at[1] * (columns + 1) + at[0]) as u32;
         let inside = |at| share(at).map(|s| SKIRT + (1.0 - 2.0 * SKIRT) * s);

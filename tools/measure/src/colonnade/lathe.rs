@@ -108,7 +108,7 @@ impl Lathe {
 
     /// `cells`: where the charts of the sides, of the first cap and of the last lie.
     pub fn topology(&self, [columns, rows]: [usize; 2], cells: &[Rect]) -> Topology {
-        let mut topology = Topology::default();
+        let mut topology = Topology::with_room_for(self.counts([columns, rows]));
         let spans = self.spans(rows);
         for (&[from, to], cell) in spans.iter().zip(cells) {
             topology.grid(columns, to - from, |i, j| Wedge {

@@ -11,7 +11,7 @@ pub struct Wedge {
 }
 
 /// The faces of a part; triangles count wedges and face outwards.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Topology {
     pub wedges: Vec<Wedge>,
     pub triangles: Vec<[u32; 3]>,
@@ -68,6 +68,14 @@ pub fn cap_vertices(columns: usize) -> impl Iterator<Item = (usize, f64)> {
 }
 
 impl Topology {
+    /// Empty, with room for exactly so much.
+    pub fn with_room_for(counts: Counts) -> Topology {
+        Topology {
+            wedges: Vec::with_capacity(counts.wedges as usize),
+            triangles: Vec::with_capacity(counts.triangles as usize),
+        }
+    }
+
     /// Adds a grid of `columns` x `lines` quads; it faces to where columns turn into lines the left way round.
     pub fn grid(&mut self, columns: usize, lines: usize, wedge: impl Fn(usize, usize) -> Wedge) {
         let first = self.wedges.len() as u32;
