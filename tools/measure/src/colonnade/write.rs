@@ -92,8 +92,8 @@ pub fn obj(scene: &Scene, path: &Path) -> Result<()> {
         if last.replace(number) != Some(number) {
             writeln!(out, "usemtl stone_{number:03}")?;
         }
-        let topology = part.topology();
         lines(&mut out, &part.positions(), |[x, y, z]| format!("v {x} {y} {z}\n"))?;
+        let topology = part.topology();
         lines(&mut out, &topology.wedges, |w| format!("vt {} {}\n", w.uv[0], 1.0 - w.uv[1]))?;
         lines(&mut out, &topology.triangles, |t| {
             let [a, b, c] = t.map(|w| {
@@ -107,7 +107,7 @@ pub fn obj(scene: &Scene, path: &Path) -> Result<()> {
 }
 
 /// Text is made by all threads, so many lines at a time.
-const LINES: usize = 1 << 14;
+const LINES: usize = 1 << 11;
 
 fn lines<T: Sync>(out: &mut impl Write, items: &[T], line: impl Fn(&T) -> String + Sync) -> Result<()> {
     for some in items.chunks(16 * LINES) {
