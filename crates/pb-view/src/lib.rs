@@ -14,6 +14,7 @@ mod overlay;
 mod picture;
 pub mod prefetch;
 mod screen;
+pub mod simulate;
 mod size;
 pub mod stage;
 mod stats;
