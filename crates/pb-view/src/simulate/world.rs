@@ -3,7 +3,7 @@
 
 use anyhow::{Result, ensure};
 use glam::DVec3;
-use pb_lod::plan::{self, Class, Detail, Frame, Plan, View};
+use pb_lod::plan::{self, Class, Detail, Frame, Plan, Prefetch, View};
 use pb_lod::progressive_buffers::select::Selector;
 use pb_render::Camera;
 use pb_stream::ChunkId;
@@ -130,6 +130,8 @@ pub struct World<'a> {
     vram_bytes: [u64; POOLS],
     budgets: [u64; POOLS],
     detail: Detail,
+    /// Also load what a camera nearby would show.
+    around: bool,
     /// Frames in which even the slowest rest must be over.
     rest_frames: u64,
     upload_frames: u32,
@@ -177,6 +179,7 @@ impl<'a> World<'a> {
             vram_bytes: [0; POOLS],
             budgets: [scene.coarse_bytes() + pools[0], pools[1]],
             detail: Detail::ErrorPx(random.magnitude(0.1, 8.0) as f32),
+            around: random.chance(0.5),
             // Everything is read twice, and uploaded one chunk after the other.
             rest_frames: REST_FRAMES + (2.0 * reading / f64::from(DT_SECS)) as u64 + n * u64::from(2 + upload_frames),
             upload_frames,
@@ -258,6 +261,8 @@ impl<'a> World<'a> {
             detail: self.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],
+            max_triangles: u64::MAX,
+            prefetch: Prefetch { around: self.around, soon: &[], later: &[] },
             dt_secs: DT_SECS,
         });
         self.check_plan(&plan)?;
