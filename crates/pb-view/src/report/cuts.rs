@@ -12,17 +12,25 @@ const JUMP: f64 = 4.0;
 /// A step of the camera from one frame to the next.
 #[derive(Clone, Copy, Debug, Default)]
 struct Step {
-    /// Over half the distance to the target before it.
+    /// World units.
     moved: f64,
-    /// Over half the field of view before it.
+    /// Half the distance to the target before it, world units.
+    far: f64,
+    /// Radians.
     turned: f64,
+    /// Half the field of view before it, radians.
+    wide: f64,
 }
 
 impl Step {
     fn new(before: &Keyframe, after: &Keyframe) -> Self {
         let (a, b) = (before.target - before.eye, after.target - after.eye);
-        let half_fov = before.fov_deg.to_radians() * 0.5;
-        Self { moved: before.eye.distance(after.eye) / (a.length() * 0.5), turned: a.angle_between(b) / half_fov }
+        Self {
+            moved: before.eye.distance(after.eye),
+            far: a.length() * 0.5,
+            turned: a.angle_between(b),
+            wide: before.fov_deg.to_radians() * 0.5,
+        }
     }
 }
 
@@ -37,8 +45,8 @@ pub fn is_cut(flight: &Flypath, frame: u32) -> bool {
         return true;
     }
     let (before, here, after) = (step(frame - 1), step(frame), step(frame + 1));
-    let jump = |of: fn(&Step) -> f64| of(&here) > 1.0 && of(&here) > JUMP * of(&before).max(of(&after));
-    jump(|s| s.moved) || jump(|s| s.turned)
+    let jump = |of: fn(&Step) -> f64| of(&here) > JUMP * of(&before).max(of(&after));
+    here.moved > here.far && jump(|s| s.moved) || here.turned > here.wide && jump(|s| s.turned)
 }
 
 #[cfg(test)]
@@ -61,6 +69,8 @@ mod tests {
         let moved =
             flight(&[(0.0, a, DVec3::ZERO), (1.0, a, DVec3::ZERO), (1.1, b, DVec3::ZERO), (2.0, b, DVec3::ZERO)]);
         assert_eq!(cuts(&moved), [0, 11]);
+        let closer = [(0.0, a), (1.0, a), (1.1, a * 0.3), (2.0, a * 0.3)].map(|(t, eye)| (t, eye, DVec3::ZERO));
+        assert_eq!(cuts(&flight(&closer)), [0, 11]);
         let turned = [(0.0, a, DVec3::ZERO), (1.0, a, DVec3::ZERO), (1.1, a, b * 5.0), (2.0, a, b * 5.0)];
         assert_eq!(cuts(&flight(&turned)), [0, 11]);
     }

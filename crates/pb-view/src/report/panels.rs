@@ -21,7 +21,7 @@ const MIB: f64 = 1024.0 * 1024.0;
 /// A spike at the start may be this many times higher than all after it before it is cut off.
 const START_SPIKE: f64 = 3.0;
 
-/// Title, unit, and lines of a plot.
+/// Title, unit (none for counts), and lines of a plot.
 struct Design {
     id: &'static str,
     title: &'static str,
@@ -64,7 +64,7 @@ const DETAIL_BAND: Design = Design {
     shape: Shape::Plain,
 };
 
-const DESIGNS: [Design; 9] = [
+const DESIGNS: [Design; 10] = [
     Design {
         id: "fps",
         title: "Frames per second",
@@ -75,14 +75,14 @@ const DESIGNS: [Design; 9] = [
     Design {
         id: "triangles",
         title: "Triangles drawn",
-        unit: "triangles",
+        unit: "",
         lines: &[("triangles", |t| t.column("triangles").to_vec())],
         shape: Shape::Plain,
     },
     Design {
         id: "draws",
         title: "Draws",
-        unit: "draws",
+        unit: "",
         lines: &[
             ("clusters and coarse ranges", |t| t.column("draws").to_vec()),
             ("coarse ranges", |t| t.column("coarse_draws").to_vec()),
@@ -106,7 +106,7 @@ const DESIGNS: [Design; 9] = [
     Design {
         id: "missing",
         title: "Chunks wanted but missing",
-        unit: "chunks",
+        unit: "",
         lines: &[
             ("all", |t| t.column("missing_chunks").to_vec()),
             ("textures", |t| t.column("missing_textures").to_vec()),
@@ -127,9 +127,20 @@ const DESIGNS: [Design; 9] = [
     Design {
         id: "loads",
         title: "Loads in flight",
-        unit: "chunks",
+        unit: "",
         lines: &[("loads", |t| t.column("loads_in_flight").to_vec())],
         shape: Shape::Plain,
+    },
+    Design {
+        id: "processor",
+        title: "Time on the processor",
+        unit: "ms",
+        lines: &[
+            ("selection, cache", |t| t.column("select_ms").to_vec()),
+            ("carrying out, uploads", |t| t.column("carry_out_ms").to_vec()),
+            ("draw commands", |t| t.column("draw_ms").to_vec()),
+        ],
+        shape: Shape::ClipStart,
     },
     Design {
         id: "process",

@@ -190,7 +190,7 @@ mod tests {
     fn what_is_no_run_is_refused_with_a_reason() {
         for (text, reason) in [
             ("[1]".to_owned(), "schema"),
-            (text().replace("\"version\":1,", "\"version\":9,"), "version 9"),
+            (text().replace("\"version\":1", "\"version\":9"), "version 9"),
             (text().replace("\"cut\":[1]", "\"cut\":[1,0]"), "one length"),
             (text().replace("\"cut\":[1]", "\"cut\":[\"x\"]"), "invalid type"),
         ] {

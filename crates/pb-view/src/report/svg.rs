@@ -49,11 +49,11 @@ pub struct Line {
 pub struct Plot {
     /// Heading.
     pub title: &'static str,
-    /// Unit of the values.
+    /// Unit of the values; empty for counts.
     pub unit: &'static str,
     /// Steps of the value axis are factors.
     pub log: bool,
-    /// The lines; later ones lie on top.
+    /// The lines; later ones lie on top, and come first in the legend.
     pub lines: Vec<Line>,
     /// Bounds: label and value.
     pub bounds: Vec<(String, f64)>,
@@ -92,11 +92,12 @@ impl Plot {
         let cut_off = self.clip.map_or(String::new(), |clip| {
             format!(", cut off at {} (the start reaches {})", tick(clip), tick(self.peak()))
         });
-        let title_text = format!("{} [{}]{cut_off}", self.title, self.unit);
+        let unit = if self.unit.is_empty() { String::new() } else { format!(" [{}]", self.unit) };
+        let title_text = format!("{}{unit}{cut_off}", self.title);
         let title = TextStyle::from((FONT, TITLE_SIZE, FontStyle::Bold)).color(&INK);
         head.draw(&Text::new(title_text, (24, 8), title))?;
         let style = TextStyle::from((FONT, TEXT_SIZE)).color(&INK);
-        let lines = self.lines.iter().map(|l| (l.label.clone(), l.color, false));
+        let lines = self.lines.iter().rev().map(|l| (l.label.clone(), l.color, false));
         let bounds = self.bounds.iter().map(|(label, value)| {
             let far = if self.shows(*value) { "" } else { " (far above)" };
             (format!("{label}: {}{far}", tick(*value)), BOUND, true)

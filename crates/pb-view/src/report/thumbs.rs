@@ -163,10 +163,11 @@ mod tests {
     #[test]
     fn the_slowest_and_the_worst_frame_stay_until_there_are_others() {
         let mut thumbs = Thumbs::new(&default_flight(DVec3::ZERO, 1.0, DVec3::Y, 50.0), Format::Png);
-        for frame in 0..301 {
+        for frame in 0..301u32 {
             // A slow and incomplete start does not count.
             let frame_ms = if frame == 140 || frame == 3 { 90.0 } else { 10.0 };
-            let missing_chunks = if frame < 30 { 50 } else { [60, 70].contains(&frame) as u32 * (frame - 50) };
+            let missing_chunks =
+                if frame < 30 { 50 } else { [60, 70].contains(&frame) as u32 * frame.saturating_sub(50) };
             let stats = FrameStats { missing_chunks, ..FrameStats::default() };
             let line = Line { frame, t_secs: frame as f64 / 30.0, frame_ms, stats, ..Line::default() };
             if thumbs.wants(&line) {
