@@ -106,12 +106,7 @@ impl Plot {
         for (label, color, dashed) in lines.chain(bounds) {
             let mark = vec![(x, 72), (x + 44, 72)];
             match dashed {
-                true => head.draw(&plotters::element::DashedPathElement::new(
-                    mark.into_iter(),
-                    10,
-                    7,
-                    color.stroke_width(4),
-                ))?,
+                true => head.draw(&plotters::element::DashedPathElement::new(mark, 10, 7, color.stroke_width(4)))?,
                 false => head.draw(&PathElement::new(mark, color.stroke_width(6)))?,
             }
             let width = label.chars().count() as i32 * 14;
