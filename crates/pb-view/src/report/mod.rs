@@ -126,6 +126,7 @@ fn facts(label: String, args: &Args, gpu: &Gpu, stage: &Stage, flight: &Flypath)
             vram_planned_bytes: plan.bytes(),
             texture_vram_bytes: plan.texture_bytes(),
             ram_bytes: args.ram,
+            max_triangles: args.max_triangles,
         },
     }
 }

@@ -208,6 +208,7 @@ fn bounds(id: &str, content: &Content) -> Vec<(String, f64)> {
     match id {
         "vram" => vec![("bound".to_owned(), bounds.vram_bytes as f64 / MIB)],
         "ram" => vec![("bound".to_owned(), bounds.ram_bytes as f64 / MIB)],
+        "triangles" => bounds.max_triangles.map(|n| ("bound".to_owned(), n as f64)).into_iter().collect(),
         _ => Vec::new(),
     }
 }

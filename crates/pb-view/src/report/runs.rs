@@ -88,7 +88,7 @@ pub struct RunFacts {
     pub settle: bool,
 }
 
-/// Bounds, bytes.
+/// Bounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     /// `--vram`.
@@ -99,6 +99,8 @@ pub struct Bounds {
     pub texture_vram_bytes: u64,
     /// `--ram`.
     pub ram_bytes: u64,
+    /// `--max-triangles`.
+    pub max_triangles: Option<u64>,
 }
 
 /// The text of a JSON file.
