@@ -21,6 +21,9 @@ const MIB: f64 = 1024.0 * 1024.0;
 /// A spike at the start may be this many times higher than all after it before it is cut off.
 const START_SPIKE: f64 = 3.0;
 
+/// What fits a legend of the names of other runs.
+const MOST_LETTERS: usize = 16;
+
 /// Title, unit (none for counts), and lines of a plot.
 struct Design {
     id: &'static str,
@@ -178,8 +181,8 @@ pub fn panels(content: &Content) -> Vec<Panel> {
 fn plot(design: &Design, content: &Content) -> Plot {
     let mut lines = Vec::new();
     for (other, &color) in content.others.iter().zip(&OTHERS) {
-        let (label, values) = design.lines[0];
-        let label = format!("{}: {label}", other.facts.label);
+        let (_, values) = design.lines[0];
+        let label = other.facts.label.chars().take(MOST_LETTERS).collect();
         lines.push(Line { label, color, points: points(&other.table, values) });
     }
     // The first line is the one to see, so it is drawn last.

@@ -125,7 +125,7 @@ fn an_earlier_run_is_drawn_into_the_plots() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     let text = std::fs::read_to_string(&page).unwrap();
     for plot in text.split("<figure id=\"plot-").skip(1) {
-        assert!(plot.split("</figure>").next().unwrap().contains("before: "), "{}", &plot[..20]);
+        assert!(plot.split("</figure>").next().unwrap().contains("\nbefore\n"), "{}", &plot[..20]);
     }
     assert!(text.contains("<th>after</th><th>before</th>"), "the table of numbers has a column for each");
 }
