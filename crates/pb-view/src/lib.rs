@@ -6,6 +6,7 @@
 pub mod args;
 mod export;
 pub mod failure;
+pub mod feed;
 pub mod flypath;
 mod headless;
 pub mod navigate;

@@ -6,5 +6,6 @@ mod headless;
 mod mistakes;
 mod pops;
 mod reference;
+mod streaming;
 mod support;
 mod textured;
