@@ -23,6 +23,7 @@ Examples:
   pb-view statue.pb
   pb-view statue.pb --error-px 2 --vram 256MiB --color level
   pb-view statue.pb --flypath flight.json --headless --settle --frames frames --stats stats.csv
+  pb-view simulate --hours 24      flies without a picture and checks what loads (pb-view simulate --help)
 
 Exit codes: 0 done; 1 the archive or the flypath is at fault; 2 the command line or the machine is.";
 

@@ -13,6 +13,7 @@ pub mod navigate;
 mod overlay;
 mod picture;
 mod screen;
+pub mod simulate;
 mod size;
 pub mod stage;
 mod stats;
