@@ -141,7 +141,7 @@ impl Archive {
     /// Fails when they are not, or no longer, in the file.
     pub fn read(&self, offset: u64, bytes: usize) -> Result<Cow<'_, [u8]>, ArchiveError> {
         let fail = |fault| ArchiveError::new(&self.path, fault);
-        let end = offset.checked_add(bytes as u64).unwrap_or(u64::MAX);
+        let end = offset.saturating_add(bytes as u64);
         if end > self.header.file_length {
             return Err(fail(Fault::Shortened { what: "a read".into(), end, found: self.header.file_length }));
         }
