@@ -54,17 +54,29 @@ pub struct Disk {
     now: Duration,
     waiting: Waiting<ChunkId>,
     serving: Option<(Duration, Batch<ChunkId>)>,
+    reads: u64,
+    bytes_read: u64,
 }
 
 impl Disk {
     /// An idle disk at time 0.
     pub fn new(model: DiskModel) -> Self {
-        Self { model, now: Duration::ZERO, waiting: Waiting::default(), serving: None }
+        Self { model, now: Duration::ZERO, waiting: Waiting::default(), serving: None, reads: 0, bytes_read: 0 }
     }
 
     /// Asks, at the time that the disk has, for a chunk.
     pub fn ask(&mut self, chunk: ChunkId, extent: Extent) {
         self.waiting.push(extent, Company::Any, chunk);
+    }
+
+    /// Gives each chunk that waits a new rank; the lowest is read first.
+    pub fn reorder(&mut self, rank: impl Fn(ChunkId) -> u64) {
+        self.waiting.reorder(|&chunk| rank(chunk));
+    }
+
+    /// Reads that were begun, and their bytes.
+    pub fn reads(&self) -> (u64, u64) {
+        (self.reads, self.bytes_read)
     }
 
     /// Turns the clock to `to` and returns what was read by then, in the order in which it was.
@@ -103,6 +115,8 @@ impl Disk {
 
     fn start(&mut self, at: Duration) -> Option<(Duration, Batch<ChunkId>)> {
         let batch = self.waiting.take()?;
+        self.reads += 1;
+        self.bytes_read += batch.extent.bytes;
         Some((at.saturating_add(self.model.read_time(batch.extent.bytes)), batch))
     }
 }
@@ -159,6 +173,16 @@ mod tests {
         (0..3).for_each(|c| disk.ask(ChunkId(c), Extent { offset: u64::from(c) * 100_000, bytes: 100_000 }));
         assert_eq!(disk.advance(ms(39)), []);
         assert_eq!(disk.advance(ms(40)), [0, 1, 2].map(ChunkId));
+        assert_eq!(disk.reads(), (1, 300_000));
+    }
+
+    #[test]
+    fn what_became_urgent_is_read_next() {
+        let mut disk = disk("10,10");
+        ask(&mut disk, [0, 1, 2, 3]);
+        assert_eq!(disk.advance(ms(5)), []);
+        disk.reorder(|c| u64::from(10 - c.0));
+        assert_eq!(disk.advance(ms(100)), [0, 3, 2, 1].map(ChunkId), "the first was being read already");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Threads that read and decode chunks while the frame goes on.
 //!
-//! Requests are served in the order in which they were made, and neighbours in the file are read together
+//! Requests are served in the order in which they were made, or of the ranks that they were given since, and neighbours in the file are read together
 //! ([`merge`](crate::merge)); results come back over a channel. Some threads read, others decode, so that the disk does
 //! not wait for the processor. What fails is tried again, by itself and behind the others. A panic of the source is an
 //! error of that chunk, not of the program.
@@ -212,6 +212,11 @@ impl<S: Source> Loader<S> {
         self.outstanding += 1;
         self.queue.changed.notify_all();
         Ok(())
+    }
+
+    /// Gives each chunk that waits a new rank; the lowest is read first.
+    pub fn reorder(&self, rank: impl Fn(ChunkId) -> u64) {
+        self.queue.lock().waiting.reorder(|ticket| rank(ticket.chunk));
     }
 
     /// Where chunks come from.

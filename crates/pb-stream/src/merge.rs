@@ -1,6 +1,6 @@
 //! Requests that wait for the disk, and which of them one read serves.
 //!
-//! The oldest request is always served next; requests for bytes beside its own are taken along, because a second visit
+//! The most urgent request is always served next, and of those that are alike the oldest; requests for bytes beside its own are taken along, because a second visit
 //! would cost a second latency. Must never: read past what was asked for; let a read grow without bound.
 
 use std::collections::BTreeMap;
@@ -51,7 +51,7 @@ pub enum Company {
 pub struct Batch<T> {
     /// What to read.
     pub extent: Extent,
-    /// Whom it serves, in the order in which they asked, and their own bytes.
+    /// Whom it serves, most urgent first, and their own bytes.
     pub parts: Vec<(Extent, T)>,
 }
 
@@ -59,10 +59,18 @@ pub struct Batch<T> {
 #[derive(Clone, Debug)]
 pub struct Waiting<T> {
     pushed: u64,
-    /// By order of asking: where it begins.
-    order: BTreeMap<u64, u64>,
+    /// By urgency, then by order of asking: where it begins.
+    order: BTreeMap<(u64, u64), u64>,
     /// By where it begins, then order.
-    places: BTreeMap<(u64, u64), (Extent, Company, T)>,
+    places: BTreeMap<(u64, u64), Request<T>>,
+}
+
+#[derive(Clone, Debug)]
+struct Request<T> {
+    extent: Extent,
+    company: Company,
+    rank: u64,
+    tag: T,
 }
 
 impl<T> Default for Waiting<T> {
@@ -72,11 +80,20 @@ impl<T> Default for Waiting<T> {
 }
 
 impl<T> Waiting<T> {
-    /// A request, behind all others.
+    /// A request, behind all others that are as urgent as can be.
     pub fn push(&mut self, extent: Extent, company: Company, tag: T) {
-        self.order.insert(self.pushed, extent.offset);
-        self.places.insert((extent.offset, self.pushed), (extent, company, tag));
+        self.order.insert((0, self.pushed), extent.offset);
+        self.places.insert((extent.offset, self.pushed), Request { extent, company, rank: 0, tag });
         self.pushed += 1;
+    }
+
+    /// Gives each request that waits a new rank; the lowest is served first.
+    pub fn reorder(&mut self, rank: impl Fn(&T) -> u64) {
+        self.order.clear();
+        for (&(offset, number), request) in &mut self.places {
+            request.rank = rank(&request.tag);
+            self.order.insert((request.rank, number), offset);
+        }
     }
 
     /// Requests that wait.
@@ -91,16 +108,15 @@ impl<T> Waiting<T> {
 
     /// What the next `count` requests will read, in order.
     pub fn ahead(&self, count: usize) -> Vec<Extent> {
-        self.order.iter().take(count).map(|(&number, &offset)| self.places[&(offset, number)].0).collect()
+        let first = self.order.iter().take(count);
+        first.map(|(&(_, number), &offset)| self.places[&(offset, number)].extent).collect()
     }
 
-    /// Takes the oldest request, and those that one read with it serves.
+    /// Takes the most urgent request, and those that one read with it serves.
     pub fn take(&mut self) -> Option<Batch<T>> {
-        let (&number, &offset) = self.order.first_key_value()?;
-        let (mut extent, company) = {
-            let (extent, company, _) = &self.places[&(offset, number)];
-            (*extent, *company)
-        };
+        let (&(_, number), &offset) = self.order.first_key_value()?;
+        let first = &self.places[&(offset, number)];
+        let (mut extent, company) = (first.extent, first.company);
         let mut keys = vec![(offset, number)];
         if company == Company::Any {
             let after = self.places.range((Excluded((offset, number)), Unbounded));
@@ -108,13 +124,13 @@ impl<T> Waiting<T> {
             let before = self.places.range(..(offset, number)).rev();
             grow(&mut extent, &mut keys, before);
         }
-        keys.sort_unstable_by_key(|k| k.1);
-        let parts = keys.iter().map(|key| {
-            self.order.remove(&key.1);
-            let (extent, _, tag) = self.places.remove(key).expect("the key was found above");
-            (extent, tag)
-        });
-        Some(Batch { extent, parts: parts.collect() })
+        let mut requests: Vec<(u64, Request<T>)> =
+            keys.iter().map(|key| (key.1, self.places.remove(key).expect("the key was found above"))).collect();
+        requests.sort_unstable_by_key(|(number, r)| (r.rank, *number));
+        for (number, request) in &requests {
+            self.order.remove(&(request.rank, *number));
+        }
+        Some(Batch { extent, parts: requests.into_iter().map(|(_, r)| (r.extent, r.tag)).collect() })
     }
 }
 
@@ -122,9 +138,9 @@ impl<T> Waiting<T> {
 fn grow<'a, T: 'a>(
     extent: &mut Extent,
     keys: &mut Vec<(u64, u64)>,
-    neighbours: impl Iterator<Item = (&'a (u64, u64), &'a (Extent, Company, T))>,
+    neighbours: impl Iterator<Item = (&'a (u64, u64), &'a Request<T>)>,
 ) {
-    for (key, (next, company, _)) in neighbours {
+    for (key, Request { extent: next, company, .. }) in neighbours {
         let whole = extent.with(next);
         let near = extent.gap(next) <= MAX_GAP_BYTES && next.gap(extent) <= MAX_GAP_BYTES;
         if *company == Company::Alone || !near || whole.bytes > MAX_READ_BYTES {
@@ -174,6 +190,18 @@ mod tests {
         all.push(Extent { offset: 10, bytes: 10 }, Company::Alone, 2);
         all.push(Extent { offset: 30, bytes: 10 }, Company::Any, 3);
         assert_eq!(served(all), [vec![0], vec![1, 3], vec![2]]);
+    }
+
+    #[test]
+    fn the_most_urgent_is_served_first() {
+        let mut all = waiting(&[(0, 10), (9_000_000, 10), (5_000_000, 10), (10, 10)]);
+        all.reorder(|&i| [7, 3, 3, 1][i]);
+        all.push(Extent { offset: 7_000_000, bytes: 1 }, Company::Any, 4);
+        assert_eq!(
+            all.ahead(2),
+            [7_000_000, 10].map(|offset| Extent { offset, bytes: if offset == 10 { 10 } else { 1 } })
+        );
+        assert_eq!(served(all), [vec![4], vec![3, 0], vec![1], vec![2]]);
     }
 
     proptest! {

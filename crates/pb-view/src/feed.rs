@@ -3,7 +3,7 @@
 //! As they come, or, so that a run can be repeated, on virtual time: frames late, or from a slow disk of which the flight's
 //! own time is the clock. Must never: let the wall clock decide when a chunk arrives on virtual time.
 
-use pb_lod::plan::ChunkId;
+use pb_lod::plan::{ChunkId, Want};
 use pb_lod::progressive_buffers::codec::Chunk;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_render::ChunkData;
@@ -140,13 +140,18 @@ pub struct Feed {
     now: Duration,
     /// Read, but the slow disk has not said so yet.
     early: BTreeMap<pb_stream::ChunkId, LoadResult<Loaded>>,
+    /// Per chunk: the frame in which it was last wanted while something was under way, and its place in the order then.
+    ranks: Vec<(u64, u32)>,
+    frame: u64,
 }
 
 impl Feed {
     /// Starts the threads.
     pub fn new(model: Arc<Model>) -> Self {
         let loader = start(&model, READERS, None);
-        Self { model, loader, pace: Pace::AsTheyCome, now: Duration::ZERO, early: BTreeMap::new() }
+        let ranks = vec![(0, 0); model.chunk_count() as usize];
+        let (pace, now) = (Pace::AsTheyCome, Duration::ZERO);
+        Self { model, loader, pace, now, early: BTreeMap::new(), ranks, frame: 0 }
     }
 
     /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
@@ -167,6 +172,29 @@ impl Feed {
         self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
         if let Pace::Disk(disk) = &mut self.pace {
             disk.ask(chunk, self.loader.source().extent(chunk));
+        }
+    }
+
+    /// What is under way is read in the order of these wants, most urgent first; what is not among them, last.
+    pub fn reorder(&mut self, wants: &[Want]) {
+        if self.loader.outstanding() == 0 && self.early.is_empty() {
+            return;
+        }
+        self.frame += 1;
+        for (place, want) in (0..).zip(wants) {
+            let rank = &mut self.ranks[want.chunk.0 as usize];
+            if rank.0 != self.frame {
+                *rank = (self.frame, place);
+            }
+        }
+        let (ranks, frame) = (&self.ranks, self.frame);
+        let rank = |chunk: pb_stream::ChunkId| match ranks[chunk.0 as usize] {
+            (wanted, place) if wanted == frame => place.into(),
+            _ => u64::MAX,
+        };
+        match &mut self.pace {
+            Pace::Disk(disk) => disk.reorder(rank),
+            _ => self.loader.reorder(rank),
         }
     }
 
@@ -208,9 +236,13 @@ impl Feed {
         }
     }
 
-    /// What was read up to now.
+    /// What was read up to now; on virtual time by the slow disk, so that it is the same in every run.
     pub fn stats(&self) -> LoadStats {
-        self.loader.stats()
+        let stats = self.loader.stats();
+        match &self.pace {
+            Pace::Disk(disk) => LoadStats { reads: disk.reads().0, bytes_read: disk.reads().1, ..stats },
+            _ => stats,
+        }
     }
 }
 

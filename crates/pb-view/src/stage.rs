@@ -192,6 +192,7 @@ impl Stage {
         for command in self.cache.frame(&wants, &released) {
             self.carry_out(gpu, command);
         }
+        self.feed.reorder(&self.plan.wants);
     }
 
     fn carry_out(&mut self, gpu: &Gpu, command: Command) {

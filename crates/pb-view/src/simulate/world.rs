@@ -269,6 +269,8 @@ impl<'a> World<'a> {
             self.obey(command, &mut begun)?;
             self.check_bounds()?;
         }
+        let place = |chunk: ChunkId| wants.iter().position(|w| w.chunk == chunk).map_or(u64::MAX, |p| p as u64);
+        self.disk.reorder(place);
         let bytes: u64 = begun.iter().map(|c: &ChunkId| self.bytes(*c)).sum();
         let bound = self.cache.limits().upload_bytes_per_frame;
         ensure!(

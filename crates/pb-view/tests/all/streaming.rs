@@ -1,9 +1,11 @@
 //! Bad luck while flying: archives that are cut, replaced or written over, and slow disks.
 
-use crate::support::{Run, adapter, column, folder, pb_view_line, text, torus, write_flight};
+use crate::support::{Run, adapter, column, folder, pb_view_line, small_torus, text, torus, write_flight};
+use pb_view::feed::{DiskClock, Feed};
+use pb_view::stage::open_model;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A second far away, then a long way close to the surface, at 25 frames per second.
 fn flight(folder: &Path) -> PathBuf {
@@ -121,4 +123,26 @@ fn a_recorded_flight_is_replayed_command_for_command() {
     let file = std::io::BufReader::new(std::fs::File::open(&record).unwrap());
     let replayed = pb_stream::journal::replay(file).unwrap();
     assert!(replayed.frames > 70 && replayed.commands > 200, "{replayed:?}");
+    let run = pb_view_line("simulate --replay {}", &[&record]);
+    assert!(run.code == 0 && run.stdout.contains("all as recorded"), "{}", run.stderr);
+    let run = pb_view_line("simulate --replay {}", &[&flight(&out)]);
+    assert!(run.code == 2 && run.stderr.contains("not a recorded run"), "{}", run.stderr);
+}
+
+#[test]
+fn an_archive_is_simulated_without_an_adapter() {
+    let run = pb_view_line("simulate --hours 0.01 --seed 5 --archive {}", &[small_torus()]);
+    assert!(run.code == 0 && run.stdout.contains("no bound was exceeded"), "{}{}", run.stdout, run.stderr);
+}
+
+#[test]
+fn in_a_window_a_slow_disk_takes_its_time() {
+    let mut feed = Feed::new(open_model(small_torus()).unwrap());
+    feed.set_disk("15,1000".parse().unwrap(), DiskClock::Wall);
+    let start = Instant::now();
+    (0..3).for_each(|c| feed.request(pb_stream::ChunkId(c * 4)));
+    let arrived = feed.drain();
+    assert!(arrived.len() == 3 && arrived.iter().all(|a| a.1.is_ok()));
+    let stats = feed.stats();
+    assert!(stats.reads >= 1 && start.elapsed() >= Duration::from_millis(15 * stats.reads), "{stats:?}");
 }
