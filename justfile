@@ -36,6 +36,10 @@ bench-texture-memory *KINDS:
 bench-charts *MESHES:
     tools/bench-charts {{MESHES}}
 
+# an archive's chunks read at positions beside a map of it, cold and warm
+bench-reads *ARGS:
+    tools/bench-reads {{ARGS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

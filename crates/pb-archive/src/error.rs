@@ -45,6 +45,18 @@ pub enum Fault {
         /// Bytes that are there.
         found: u64,
     },
+    /// The file became shorter after it was opened.
+    #[error(
+        "{what} ends at byte {end}, but the file has only {found} now; it was cut while it was open, copy it again"
+    )]
+    Shortened {
+        /// What was read.
+        what: String,
+        /// Where that ends.
+        end: u64,
+        /// Bytes that are left.
+        found: u64,
+    },
     /// A format version that this program does not read.
     #[error("format version {found}, but this program reads version {known}; update it or bake the archive again")]
     Version {

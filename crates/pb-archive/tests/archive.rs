@@ -44,7 +44,7 @@ fn files_in(folder: &tempfile::TempDir) -> usize {
 }
 
 #[test]
-fn what_was_written_is_read_back_from_the_map() {
+fn what_was_written_is_read_back_from_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let writer = Writer::create(&target(&folder), SCHEME, Overwrite::IfArchive).unwrap();
     let length = fill(writer).unwrap();
@@ -52,9 +52,9 @@ fn what_was_written_is_read_back_from_the_map() {
     assert_eq!(archive.file_bytes(), length);
     assert_eq!(archive.header().scheme, SCHEME);
     assert_eq!(archive.section::<u64>(NUMBERS).unwrap(), [7, 8, 9]);
-    assert_eq!(archive.chunk(0).unwrap(), b"first");
-    assert_eq!(archive.chunk(1).unwrap(), b"second chunk");
-    assert_eq!(archive.chunk(2).unwrap(), b"");
+    assert_eq!(*archive.chunk(0).unwrap(), *b"first");
+    assert_eq!(*archive.chunk(1).unwrap(), *b"second chunk");
+    assert_eq!(*archive.chunk(2).unwrap(), *b"");
     assert_eq!(archive.chunks()[1].decoded_bytes, 40);
     assert_eq!(archive.chunks_in_file_order().unwrap(), [1, 0, 2]);
     assert_eq!(files_in(&folder), 1);
@@ -92,7 +92,60 @@ fn a_damaged_chunk_is_named_and_the_others_are_read() {
     bytes[place] ^= 1;
     let archive = open(&bytes).unwrap();
     assert!(archive.chunk(0).unwrap_err().to_string().contains("chunk 0 at byte 140 is damaged"));
-    assert_eq!(archive.chunk(1).unwrap(), b"second chunk");
+    assert_eq!(*archive.chunk(1).unwrap(), *b"second chunk");
+}
+
+/// A larger archive in a file, open: chunk `i` is 5000 bytes of `i`.
+fn opened() -> (tempfile::TempDir, Archive) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(&target(&folder), SCHEME, Overwrite::IfArchive).unwrap();
+    (0..20).for_each(|i| writer.put_chunk(i, &[i as u8; 5000], 5000).unwrap());
+    writer.add_section(NUMBERS, &[7u64, 8, 9]).unwrap();
+    writer.finish().unwrap();
+    let archive = Archive::open(&target(&folder), 0).unwrap();
+    (folder, archive)
+}
+
+#[test]
+fn a_file_that_is_cut_while_it_is_open_gives_errors_and_no_signal() {
+    let (folder, archive) = opened();
+    let file = std::fs::File::options().write(true).open(target(&folder)).unwrap();
+    file.set_len(25_000).unwrap();
+    assert_eq!(*archive.chunk(0).unwrap(), [0; 5000]);
+    let text = archive.chunk(10).unwrap_err().to_string();
+    assert!(text.contains("chunk 10 ends at byte 55128") && text.contains("only 25000 now"), "{text}");
+    assert!(archive.read(20_000, 6000).is_err() && archive.read(0, 25_000).is_ok());
+    file.set_len(0).unwrap();
+    assert!(archive.chunk(0).is_err());
+    assert_eq!(archive.section::<u64>(NUMBERS).unwrap(), [7, 8, 9], "tables are kept");
+    assert_eq!(archive.chunks().len(), 20);
+}
+
+#[test]
+fn a_file_that_is_replaced_while_it_is_open_is_read_as_it_was() {
+    let (folder, archive) = opened();
+    fill(Writer::create(&target(&folder), SCHEME, Overwrite::IfArchive).unwrap()).unwrap();
+    assert!((0..20).all(|i| *archive.chunk(i).unwrap() == [i as u8; 5000]));
+}
+
+#[test]
+fn a_file_that_is_written_over_while_it_is_open_gives_errors() {
+    let (folder, archive) = opened();
+    std::fs::write(target(&folder), vec![0; archive.file_bytes() as usize]).unwrap();
+    assert!(archive.chunk(3).unwrap_err().to_string().contains("chunk 3 at byte"));
+}
+
+#[test]
+fn several_chunks_are_read_at_once_and_checked_one_by_one() {
+    let (_folder, archive) = opened();
+    archive.will_need(0, archive.file_bytes());
+    let (first, second) = (archive.chunks()[4], archive.chunks()[5]);
+    let bytes = archive.read(first.offset, 10_000).unwrap();
+    assert_eq!(second.offset, first.offset + 5000);
+    archive.check_chunk(4, &bytes[..5000]).unwrap();
+    archive.check_chunk(5, &bytes[5000..]).unwrap();
+    assert!(archive.check_chunk(5, &bytes[4999..9999]).is_err() && archive.check_chunk(5, &bytes[5000..9999]).is_err());
+    assert!(archive.read(archive.file_bytes(), 1).is_err() && archive.read(u64::MAX, 2).is_err());
 }
 
 #[test]

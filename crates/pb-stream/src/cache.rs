@@ -22,7 +22,7 @@ use state::{Ram, Vram};
 pub const POOLS: usize = 2;
 
 /// Bounds of the cache. Bytes are those of decoded chunks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Limits {
     /// Decoded chunks in RAM and on their way there.
     pub ram_bytes: u64,
@@ -42,7 +42,7 @@ impl Limits {
 }
 
 /// What the cache knows of a chunk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct ChunkInfo {
     /// Size in RAM.
     pub ram_bytes: u32,
@@ -78,7 +78,7 @@ pub enum LimitsError {
 }
 
 /// What the cache asks for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Command {
     /// Read and decode from disk; answer with [`Cache::loaded`] or [`Cache::load_failed`].
     Load(ChunkId),
@@ -252,6 +252,11 @@ impl Cache {
     /// True when the chunk could not be loaded and never will be.
     pub fn has_failed(&self, chunk: ChunkId) -> bool {
         self.failed[chunk.0 as usize]
+    }
+
+    /// The chunks, as they were given.
+    pub fn chunks(&self) -> &[ChunkInfo] {
+        &self.info
     }
 
     /// The bounds.

@@ -3,6 +3,7 @@
 use clap::{Parser, ValueEnum};
 use pb_lod::plan::Detail;
 use pb_render::{ColorMode, Gpu, Samples, Style};
+use pb_stream::disk::DiskModel;
 use std::path::PathBuf;
 
 use crate::picture::Format;
@@ -25,6 +26,7 @@ Examples:
   pb-view statue.pb --flypath flight.json --headless --settle --frames frames --stats stats.csv
   pb-view statue.pb --vram 64MiB --report small.html
   pb-view statue.pb --report large.html --compare small.json
+  pb-view simulate --hours 24      flies without a picture and checks what loads (pb-view simulate --help)
 
 Exit codes: 0 done; 1 the archive or the flypath is at fault; 2 the command line or the machine is.";
 
@@ -147,6 +149,15 @@ pub struct Args {
     /// Hold each chunk back for this many frames after it was asked for (for tests: late data, always the same).
     #[arg(long, hide = true, value_name = "N", default_value_t = 0)]
     pub late_frames: u32,
+
+    /// Read as slowly as a disk that needs LATENCY_MS milliseconds for each read and gives MB_PER_S megabytes per second,
+    /// one read after the other. Without a window the flight's own time is the disk's: every run is the same.
+    #[arg(long, value_name = "LATENCY_MS,MB_PER_S", conflicts_with = "late_frames")]
+    pub disk_model: Option<DiskModel>,
+
+    /// Write all that the cache is told and says into this file (pb-view simulate --replay runs it again).
+    #[arg(long, hide = true, value_name = "R.jsonl")]
+    pub record_cache: Option<PathBuf>,
 
     /// One draw call per cluster even where the adapter takes many in one.
     #[arg(long, hide = true)]

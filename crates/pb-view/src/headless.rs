@@ -11,6 +11,7 @@ use std::time::Instant;
 use crate::args::Args;
 use crate::export::write_ply;
 use crate::failure::Outcome;
+use crate::feed::DiskClock;
 use crate::flypath::{Flypath, default_flight};
 use crate::prefetch::Prefetcher;
 use crate::report::cuts::is_cut;
@@ -46,6 +47,12 @@ pub fn run(args: &Args) -> Result<Outcome> {
     let mut stage =
         Stage::new(&gpu, model, args.bounds(), PictureFormat { color: target.format, samples: args.samples })?;
     stage.set_late_frames(args.late_frames);
+    if let Some(disk) = args.disk_model {
+        stage.set_disk(disk, DiskClock::Frames);
+    }
+    if let Some(path) = &args.record_cache {
+        stage.record_cache(path)?;
+    }
     if args.plain_draws {
         stage.renderer.set_multi_draw(&gpu, false);
     }
@@ -63,6 +70,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         let [html, json] = report.finish()?;
         files.extend([("report", Some(html)), ("its numbers", Some(json))]);
     }
+    stage.finish_recording()?;
     let damaged = stage.damaged_chunks();
     total.print(&files, damaged)?;
     Ok(if damaged == 0 { Outcome::Done } else { Outcome::Damaged })

@@ -6,6 +6,7 @@
 pub mod args;
 mod export;
 pub mod failure;
+pub mod feed;
 pub mod flypath;
 mod headless;
 mod meter;
@@ -15,6 +16,7 @@ mod picture;
 pub mod prefetch;
 pub mod report;
 mod screen;
+pub mod simulate;
 mod size;
 pub mod stage;
 mod stats;

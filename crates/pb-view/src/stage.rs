@@ -5,7 +5,6 @@
 
 use anyhow::{Context, Result};
 use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View, Want};
-use pb_lod::progressive_buffers::codec::Chunk;
 use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
@@ -13,15 +12,17 @@ use pb_lod::progressive_buffers::switch::Switch;
 use pb_render::{
     Camera, ChunkData, Coarse, Gpu, ModelTables, PictureFormat, Renderer, Scene, Style, Surface, grid_eye,
 };
-use pb_stream::cache::{Cache, ChunkInfo, Command, Limits};
-use pb_stream::loader::{LoadResult, Loader};
-use rayon::prelude::*;
-use std::collections::{BTreeMap, VecDeque};
+use pb_stream::cache::{ChunkInfo, Command, Limits};
+use pb_stream::disk::DiskModel;
+use pb_stream::journal::Recorded;
+use pb_stream::loader::{LoadResult, LoadStats};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use crate::export::ShownFrame;
+use crate::feed::{CoarseChunks, DiskClock, Feed, Loaded, chunk_data};
 use crate::flypath::Keyframe;
 use crate::meter::Meter;
 use crate::navigate::Subject;
@@ -30,8 +31,6 @@ use crate::stats::FrameStats;
 
 /// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
 const NEAR: f64 = 1e-6;
-/// Most loader threads; decoding leaves half of the processor to the frame.
-const MAX_LOADERS: usize = 8;
 /// More bytes than any bound has: of chunks that are never wanted, and small enough to be summed up.
 const NEVER_FITS: u64 = 1 << 56;
 /// Most rounds of settling one frame.
@@ -81,8 +80,8 @@ pub struct Stage {
     /// What draws it.
     pub renderer: Renderer,
     selector: Selector,
-    cache: Cache,
-    loader: Loader<Loaded>,
+    cache: Recorded,
+    feed: Feed,
     /// Decoded chunks, by chunk.
     decoded: Vec<Option<Loaded>>,
     /// May be drawn, by chunk: the cache's and those that always are.
@@ -102,42 +101,6 @@ pub struct Stage {
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
     near: f64,
-    /// Frames that a chunk stays away after it was asked for (a debug switch), and the chunks that wait.
-    late_frames: u32,
-    late: VecDeque<(u32, pb_stream::ChunkId, LoadResult<Loaded>)>,
-}
-
-/// A chunk in memory.
-#[derive(Clone)]
-enum Loaded {
-    Geometry(Chunk),
-    /// Mips as the archive has them.
-    Texture(Vec<u8>),
-}
-
-fn load(model: &Model, chunk: ChunkId) -> Result<Loaded, ModelError> {
-    match model.is_texture(chunk) {
-        true => model.read_texture(chunk).map(|bytes| Loaded::Texture(bytes.to_vec())),
-        false => model.read_chunk(chunk).map(Loaded::Geometry),
-    }
-}
-
-/// What is always there, read from the file.
-struct CoarseChunks<'a> {
-    chunks: Vec<Chunk>,
-    tails: Vec<&'a [u8]>,
-}
-
-impl<'a> CoarseChunks<'a> {
-    fn read(model: &'a Model) -> Result<Self, ModelError> {
-        let (clusters, coarsest) = (0..model.record().clusters, model.levels() - 1);
-        let chunks: Result<Vec<Chunk>, ModelError> =
-            clusters.clone().into_par_iter().map(|c| model.read_chunk(model.chunk_id(c, coarsest))).collect();
-        let textured = if model.textures().is_some() { clusters } else { 0..0 };
-        let tails: Result<Vec<&[u8]>, ModelError> =
-            textured.into_par_iter().map(|c| model.read_texture(model.texture_chunk_id(c, coarsest))).collect();
-        Ok(Self { chunks: chunks?, tails: tails? })
-    }
 }
 
 impl Stage {
@@ -154,7 +117,8 @@ impl Stage {
         let coarse =
             CoarseChunks::read(&model).context("the coarsest level cannot be read, so nothing can be drawn")?;
         let data: Vec<ChunkData> = coarse.chunks.iter().map(chunk_data).collect();
-        let coarse = Coarse { chunks: &data, tails: &coarse.tails };
+        let tails: Vec<&[u8]> = coarse.tails.iter().map(|t| &**t).collect();
+        let coarse = Coarse { chunks: &data, tails: &tails };
         let renderer = Renderer::new(gpu, &tables, &coarse, bounds.vram_bytes, picture)?;
         let mut chunk_bytes = tables.chunk_vram_bytes();
         let coarse_bytes: u64 =
@@ -172,18 +136,14 @@ impl Stage {
         });
         let heap_bytes = renderer.model.chunk_budget_bytes();
         let limits = Limits::new(bounds.ram_bytes, [heap_bytes, texture_bytes]);
-        let cache = Cache::new(chunk_infos(&model, &chunk_bytes), limits)?;
-        let (reader, chunks) = (model.clone(), chunk_bytes.len());
-        let threads = std::thread::available_parallelism().map_or(1, |n| n.get() / 2).clamp(1, MAX_LOADERS);
-        let loader = Loader::new(threads, move |chunk: pb_stream::ChunkId| {
-            load(&reader, ChunkId(chunk.0)).map_err(|e| e.to_string())
-        });
+        let cache = Recorded::new(chunk_infos(&model, &chunk_bytes), limits)?;
+        let chunks = chunk_bytes.len();
         let s = subject(model.record(), glam::DVec3::Y);
         Ok(Self {
             renderer,
             selector,
             cache,
-            loader,
+            feed: Feed::new(model.clone()),
             decoded: vec![None; chunks],
             resident: vec![false; chunks],
             always_resident: (0..chunks as u32).filter(|&c| model.always_resident(ChunkId(c))).collect(),
@@ -197,8 +157,6 @@ impl Stage {
             meter: Meter::new(chunks),
             switch: None,
             near: s.radius * 2.0 * NEAR,
-            late_frames: 0,
-            late: VecDeque::new(),
             model,
         })
     }
@@ -212,7 +170,9 @@ impl Stage {
     pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
         self.clock += moment.dt_secs as f64;
         self.meter.begin_frame();
-        self.take_loaded();
+        for (chunk, result) in self.feed.take(moment.dt_secs) {
+            self.accept(chunk, result);
+        }
         self.step(gpu, moment, moment.dt_secs);
         self.set_distances(gpu, moment);
         Ok(())
@@ -229,7 +189,7 @@ impl Stage {
                 self.set_distances(gpu, moment);
                 return Ok(());
             }
-            for (chunk, result) in self.loader.drain() {
+            for (chunk, result) in self.feed.drain() {
                 self.accept(chunk, result);
             }
         }
@@ -263,6 +223,7 @@ impl Stage {
         for command in commands {
             self.carry_out(gpu, command);
         }
+        self.feed.reorder(&self.plan.wants);
         self.meter.step(start, decided);
     }
 
@@ -279,7 +240,7 @@ impl Stage {
             Command::Load(chunk) => {
                 self.asked_at.insert(chunk, self.clock);
                 self.meter.asked(ChunkId(chunk.0));
-                self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
+                self.feed.request(chunk);
             }
             Command::DropRam(chunk) => self.decoded[chunk.0 as usize] = None,
             Command::Free(chunk) => self.renderer.model.free(ChunkId(chunk.0)),
@@ -305,24 +266,29 @@ impl Stage {
 
     /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
     pub fn set_late_frames(&mut self, frames: u32) {
-        self.late_frames = frames;
+        self.feed.set_late_frames(frames);
     }
 
-    /// Takes what the loader threads have finished.
-    fn take_loaded(&mut self) {
-        if self.late_frames > 0 {
-            self.late.iter_mut().for_each(|(frames, ..)| *frames -= 1);
-            let asked = self.loader.drain().into_iter();
-            self.late.extend(asked.map(|(chunk, result)| (self.late_frames, chunk, result)));
-            while self.late.front().is_some_and(|(frames, ..)| *frames == 0) {
-                let (_, chunk, result) = self.late.pop_front().expect("there is a front");
-                self.accept(chunk, result);
-            }
-            return;
-        }
-        while let Some((chunk, result)) = self.loader.try_next() {
-            self.accept(chunk, result);
-        }
+    /// From now on chunks come from a slow disk.
+    pub fn set_disk(&mut self, model: DiskModel, clock: DiskClock) {
+        self.feed.set_disk(model, clock);
+    }
+
+    /// From now on all that happens to the cache is written down, for a replay.
+    pub fn record_cache(&mut self, path: &Path) -> Result<()> {
+        let file = std::fs::File::create(path).with_context(|| format!("{}: cannot write the run", path.display()))?;
+        self.cache.record(Box::new(std::io::BufWriter::new(file)));
+        Ok(())
+    }
+
+    /// Writes what is still buffered of the recorded run; fails if any of it could not be written.
+    pub fn finish_recording(&mut self) -> Result<()> {
+        self.cache.finish_recording().context("the run of the cache cannot be written")
+    }
+
+    /// What was read from the file since the start.
+    pub fn load_stats(&self) -> LoadStats {
+        self.feed.stats()
     }
 
     /// From now on loads what these cameras will show.
@@ -347,7 +313,9 @@ impl Stage {
                 self.cache.loaded(chunk);
             }
             Err(error) => {
-                eprintln!("pb-view: warning: {error}; coarser data is drawn instead");
+                let (cluster, level) = self.model.chunk_place(ChunkId(chunk.0));
+                let (id, coarser) = (chunk.0, level + 1);
+                eprintln!("pb-view: warning: {error}; without chunk {id} cluster {cluster} stays at level {coarser}");
                 self.cache.load_failed(chunk);
             }
         }
@@ -439,7 +407,7 @@ fn stored_bytes(model: &Model, chunk: ChunkId) -> u64 {
 }
 
 /// The cache's view of the chunks: those that are always there are outside of it.
-fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
+pub(crate) fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
     let info = |(chunk, &bytes): (u32, &u64)| {
         let id = ChunkId(chunk);
         let (always, texture) = (model.always_resident(id), model.is_texture(id));
@@ -455,11 +423,7 @@ fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
     (0..).zip(chunk_bytes).map(info).collect()
 }
 
-fn chunk_data(chunk: &Chunk) -> ChunkData<'_> {
-    ChunkData { vertices: &chunk.vertices, indices: &chunk.indices }
-}
-
-fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
+pub(crate) fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
     let class = match want.class {
         Class::Maybe => pb_stream::Class::Maybe,
         Class::Soon => pb_stream::Class::Soon,

@@ -14,6 +14,7 @@ use winit::window::{CursorGrabMode, Window, WindowId};
 
 use crate::args::Args;
 use crate::failure::Outcome;
+use crate::feed::DiskClock;
 use crate::flypath::{Flypath, Keyframe};
 use crate::navigate::{Mode, Navigator, Push};
 use crate::overlay::Overlay;
@@ -142,7 +143,10 @@ impl Shown {
         gpu.texture_blocks = args.textures.blocks(&gpu);
         let screen = Screen::new(&gpu, surface, window.inner_size().into(), args.samples)?;
         let subject = subject(model.record(), args.up.vector());
-        let stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;
+        let mut stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;
+        if let Some(disk) = args.disk_model {
+            stage.set_disk(disk, DiskClock::Wall);
+        }
         let mut navigator = Navigator::new(subject, FOV_DEG);
         navigator.fit(screen.aspect());
         let now = Instant::now();

@@ -1,4 +1,4 @@
-//! An archive opened as a progressive-buffers model: tables in place, chunks decoded on demand.
+//! An archive opened as a progressive-buffers model: tables in memory, chunks read and decoded on demand.
 //!
 //! All tables are compared with one another when the model is opened, and each chunk with its tables when it is
 //! read; so whoever holds a [`Model`] or a [`Chunk`] from it may index without further checks. The deeper promises
@@ -14,6 +14,7 @@ use crate::plan::ChunkId;
 use bytemuck::Pod;
 use glam::DVec3;
 use pb_archive::{Archive, ArchiveError, Fault, Table};
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// Bit 0 of [`ModelRecord::flags`]: vertices carry colours.
@@ -288,23 +289,53 @@ impl Model {
         }
     }
 
+    /// Where a chunk lies in the file, bytes, and how many there are.
+    pub fn extent(&self, chunk: ChunkId) -> (u64, u32) {
+        let record = &self.archive.chunks()[chunk.0 as usize];
+        (record.offset, record.stored_bytes)
+    }
+
     /// Reads and checks the mips of a chunk of textures: bytes as [`Textures::mips`] says, in the archive's formats.
-    pub fn read_texture(&self, chunk: ChunkId) -> Result<&[u8], ModelError> {
+    pub fn read_texture(&self, chunk: ChunkId) -> Result<Cow<'_, [u8]>, ModelError> {
         let bytes = self.archive.chunk(chunk.0)?;
-        let expected = self.decoded_bytes(chunk);
-        if bytes.len() != expected as usize {
-            let (cluster, level) = self.chunk_place(chunk);
-            let fault = ChunkFault::TextureBytes { found: bytes.len(), expected };
-            return Err(ModelError::Chunk { path: self.archive.path().to_owned(), chunk, cluster, level, fault });
-        }
+        self.check_texture_size(chunk, &bytes)?;
         Ok(bytes)
+    }
+
+    /// Checks the bytes of a chunk of textures that were read from its [`extent`](Model::extent).
+    pub fn check_texture(&self, chunk: ChunkId, bytes: &[u8]) -> Result<(), ModelError> {
+        self.archive.check_chunk(chunk.0, bytes)?;
+        self.check_texture_size(chunk, bytes)
+    }
+
+    fn check_texture_size(&self, chunk: ChunkId, bytes: &[u8]) -> Result<(), ModelError> {
+        let expected = self.decoded_bytes(chunk);
+        match bytes.len() == expected as usize {
+            true => Ok(()),
+            false => Err(self.chunk_error(chunk, ChunkFault::TextureBytes { found: bytes.len(), expected })),
+        }
+    }
+
+    fn chunk_error(&self, chunk: ChunkId, fault: ChunkFault) -> ModelError {
+        let (cluster, level) = self.chunk_place(chunk);
+        ModelError::Chunk { path: self.archive.path().to_owned(), chunk, cluster, level, fault }
     }
 
     /// Reads, checks and decodes a chunk of geometry. May be called from several threads at once.
     pub fn read_chunk(&self, chunk: ChunkId) -> Result<Chunk, ModelError> {
         let bytes = self.archive.chunk(chunk.0)?;
-        let (cluster, level) = self.chunk_place(chunk);
-        let fail = |fault| ModelError::Chunk { path: self.archive.path().to_owned(), chunk, cluster, level, fault };
+        self.decode_checked(chunk, &bytes)
+    }
+
+    /// Checks and decodes the bytes of a chunk of geometry that were read from its [`extent`](Model::extent).
+    pub fn decode(&self, chunk: ChunkId, bytes: &[u8]) -> Result<Chunk, ModelError> {
+        self.archive.check_chunk(chunk.0, bytes)?;
+        self.decode_checked(chunk, bytes)
+    }
+
+    fn decode_checked(&self, chunk: ChunkId, bytes: &[u8]) -> Result<Chunk, ModelError> {
+        let (cluster, _) = self.chunk_place(chunk);
+        let fail = |fault| self.chunk_error(chunk, fault);
         let decoded = decode_chunk(bytes, self.shape(chunk)).map_err(|e| fail(e.into()))?;
         self.check_vertices(cluster, &decoded).map_err(fail)?;
         Ok(decoded)

@@ -7,5 +7,6 @@ mod mistakes;
 mod pops;
 mod reference;
 mod reports;
+mod streaming;
 mod support;
 mod textured;

@@ -1,0 +1,252 @@
+//! Chunks on their way from the file to the frames: what reads them, and in which frame they arrive.
+//!
+//! As they come, or, so that a run can be repeated, on virtual time: frames late, or from a slow disk of which the flight's
+//! own time is the clock. Must never: let the wall clock decide when a chunk arrives on virtual time.
+
+use pb_lod::plan::{ChunkId, Want};
+use pb_lod::progressive_buffers::codec::Chunk;
+use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_render::ChunkData;
+use pb_stream::disk::{Disk, DiskModel};
+use pb_stream::loader::{LoadResult, LoadStats, Loader, Source, Threads};
+use pb_stream::merge::Extent;
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Threads that wait for the disk: enough to keep a solid state disk busy.
+const READERS: usize = 4;
+/// Most threads that decode; they leave half of the processor to the frame.
+const MAX_DECODERS: usize = 8;
+
+/// A chunk in memory.
+#[derive(Clone)]
+pub enum Loaded {
+    /// Vertices and indices.
+    Geometry(Chunk),
+    /// Mips as the archive has them.
+    Texture(Vec<u8>),
+}
+
+/// Which clock a slow disk has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DiskClock {
+    /// The frames' times: the same arrivals in every run.
+    Frames,
+    /// The wall's: reads take longer.
+    Wall,
+}
+
+/// What is always there, read from the file.
+pub struct CoarseChunks<'a> {
+    /// Geometry, by cluster.
+    pub chunks: Vec<Chunk>,
+    /// Texture mips, by cluster; empty where there are none.
+    pub tails: Vec<Cow<'a, [u8]>>,
+}
+
+impl<'a> CoarseChunks<'a> {
+    /// Reads the coarsest level of every cluster.
+    pub fn read(model: &'a Model) -> Result<Self, ModelError> {
+        let (clusters, coarsest) = (0..model.record().clusters, model.levels() - 1);
+        let textured = if model.textures().is_some() { clusters.clone() } else { 0..0 };
+        let geometry = clusters.map(|c| model.chunk_id(c, coarsest));
+        let tails = textured.map(|c| model.texture_chunk_id(c, coarsest));
+        let (geometry, tails): (Vec<ChunkId>, Vec<ChunkId>) = (geometry.collect(), tails.collect());
+        for kind in [&geometry, &tails] {
+            announce(model, kind);
+        }
+        let chunks: Result<Vec<Chunk>, ModelError> = geometry.into_par_iter().map(|c| model.read_chunk(c)).collect();
+        let tails: Result<Vec<_>, ModelError> = tails.into_par_iter().map(|c| model.read_texture(c)).collect();
+        Ok(Self { chunks: chunks?, tails: tails? })
+    }
+}
+
+/// Tells the system of chunks that will be read, where they lie together: one long read instead of many short ones.
+fn announce(model: &Model, chunks: &[ChunkId]) {
+    let extents = || chunks.iter().map(|&c| model.extent(c));
+    let bytes: u64 = extents().map(|(_, bytes)| u64::from(bytes)).sum();
+    let start = extents().map(|(offset, _)| offset).min().unwrap_or(0);
+    let end = extents().map(|(offset, bytes)| offset + u64::from(bytes)).max().unwrap_or(0);
+    if end - start <= 2 * bytes {
+        model.archive().will_need(start, end - start);
+    }
+}
+
+/// The archive as the loader sees it.
+struct ArchiveSource {
+    model: Arc<Model>,
+    /// Reads take at least as long as this disk's.
+    slow: Option<DiskModel>,
+}
+
+impl Source for ArchiveSource {
+    type Payload = Loaded;
+
+    fn extent(&self, chunk: pb_stream::ChunkId) -> Extent {
+        let (offset, bytes) = self.model.extent(ChunkId(chunk.0));
+        Extent { offset, bytes: bytes.into() }
+    }
+
+    fn read(&self, extent: Extent) -> Result<Vec<u8>, String> {
+        let start = Instant::now();
+        let bytes = self.model.archive().read(extent.offset, extent.bytes as usize);
+        if let Some(model) = &self.slow {
+            std::thread::sleep(model.read_time(extent.bytes).saturating_sub(start.elapsed()));
+        }
+        bytes.map(Cow::into_owned).map_err(|e| e.to_string())
+    }
+
+    fn decode(&self, chunk: pb_stream::ChunkId, bytes: &[u8]) -> LoadResult<Loaded> {
+        let chunk = ChunkId(chunk.0);
+        let loaded = match self.model.is_texture(chunk) {
+            true => self.model.check_texture(chunk, bytes).map(|()| Loaded::Texture(bytes.to_vec())),
+            false => self.model.decode(chunk, bytes).map(Loaded::Geometry),
+        };
+        loaded.map_err(|e| e.to_string())
+    }
+
+    fn will_need(&self, extent: Extent) {
+        if self.slow.is_none() {
+            self.model.archive().will_need(extent.offset, extent.bytes);
+        }
+    }
+}
+
+/// The two arrays of a chunk of geometry.
+pub fn chunk_data(chunk: &Chunk) -> ChunkData<'_> {
+    ChunkData { vertices: &chunk.vertices, indices: &chunk.indices }
+}
+
+type Arrival = (pb_stream::ChunkId, LoadResult<Loaded>);
+
+/// When chunks arrive.
+enum Pace {
+    AsTheyCome,
+    /// So many frames after they were asked for; those that wait, with what is left of that.
+    Late(u32, VecDeque<(u32, Arrival)>),
+    /// When this disk has read them.
+    Disk(Box<Disk>),
+}
+
+/// Chunks under way.
+pub struct Feed {
+    model: Arc<Model>,
+    loader: Loader<ArchiveSource>,
+    pace: Pace,
+    /// Virtual time: the sum of the frames'.
+    now: Duration,
+    /// Read, but the slow disk has not said so yet.
+    early: BTreeMap<pb_stream::ChunkId, LoadResult<Loaded>>,
+    /// Per chunk: the frame in which it was last wanted while something was under way, and its place in the order then.
+    ranks: Vec<(u64, u32)>,
+    frame: u64,
+}
+
+impl Feed {
+    /// Starts the threads.
+    pub fn new(model: Arc<Model>) -> Self {
+        let loader = start(&model, READERS, None);
+        let ranks = vec![(0, 0); model.chunk_count() as usize];
+        let (pace, now) = (Pace::AsTheyCome, Duration::ZERO);
+        Self { model, loader, pace, now, early: BTreeMap::new(), ranks, frame: 0 }
+    }
+
+    /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
+    pub fn set_late_frames(&mut self, frames: u32) {
+        self.pace = if frames > 0 { Pace::Late(frames, VecDeque::new()) } else { Pace::AsTheyCome };
+    }
+
+    /// From now on chunks come from a slow disk. To be called before the first request.
+    pub fn set_disk(&mut self, model: DiskModel, clock: DiskClock) {
+        match clock {
+            DiskClock::Frames => self.pace = Pace::Disk(Box::new(Disk::new(model))),
+            DiskClock::Wall => self.loader = start(&self.model, 1, Some(model)),
+        }
+    }
+
+    /// Asks for a chunk.
+    pub fn request(&mut self, chunk: pb_stream::ChunkId) {
+        self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
+        if let Pace::Disk(disk) = &mut self.pace {
+            disk.ask(chunk, self.loader.source().extent(chunk));
+        }
+    }
+
+    /// What is under way is read in the order of these wants, most urgent first; what is not among them, last.
+    pub fn reorder(&mut self, wants: &[Want]) {
+        if self.loader.outstanding() == 0 && self.early.is_empty() {
+            return;
+        }
+        self.frame += 1;
+        for (place, want) in (0..).zip(wants) {
+            let rank = &mut self.ranks[want.chunk.0 as usize];
+            if rank.0 != self.frame {
+                *rank = (self.frame, place);
+            }
+        }
+        let (ranks, frame) = (&self.ranks, self.frame);
+        let rank = |chunk: pb_stream::ChunkId| match ranks[chunk.0 as usize] {
+            (wanted, place) if wanted == frame => place.into(),
+            _ => u64::MAX,
+        };
+        match &mut self.pace {
+            Pace::Disk(disk) => disk.reorder(rank),
+            _ => self.loader.reorder(rank),
+        }
+    }
+
+    /// What arrives in this frame, `dt_secs` after the last one.
+    pub fn take(&mut self, dt_secs: f32) -> Vec<Arrival> {
+        self.now += Duration::try_from_secs_f32(dt_secs).unwrap_or_default();
+        let read = match &mut self.pace {
+            Pace::AsTheyCome => return std::iter::from_fn(|| self.loader.try_next()).collect(),
+            Pace::Late(frames, waiting) => {
+                waiting.iter_mut().for_each(|(left, _)| *left -= 1);
+                waiting.extend(self.loader.drain().into_iter().map(|arrival| (*frames, arrival)));
+                let due = waiting.iter().take_while(|(left, _)| *left == 0).count();
+                return waiting.drain(..due).map(|(_, arrival)| arrival).collect();
+            }
+            Pace::Disk(disk) => disk.advance(self.now),
+        };
+        read.into_iter().map(|chunk| self.wait_for(chunk)).collect()
+    }
+
+    /// Waits for all that was asked for, and returns it in an order that does not depend on threads.
+    pub fn drain(&mut self) -> Vec<Arrival> {
+        match &mut self.pace {
+            Pace::AsTheyCome => self.loader.drain(),
+            Pace::Late(_, waiting) => {
+                let waiting = std::mem::take(waiting).into_iter().map(|(_, arrival)| arrival);
+                waiting.chain(self.loader.drain()).collect()
+            }
+            Pace::Disk(disk) => disk.finish().into_iter().map(|chunk| self.wait_for(chunk)).collect(),
+        }
+    }
+
+    fn wait_for(&mut self, chunk: pb_stream::ChunkId) -> Arrival {
+        loop {
+            if let Some(result) = self.early.remove(&chunk) {
+                return (chunk, result);
+            }
+            let (other, result) = self.loader.wait_next().expect("the slow disk reads what the loader was asked for");
+            self.early.insert(other, result);
+        }
+    }
+
+    /// What was read up to now; on virtual time by the slow disk, so that it is the same in every run.
+    pub fn stats(&self) -> LoadStats {
+        let stats = self.loader.stats();
+        match &self.pace {
+            Pace::Disk(disk) => LoadStats { reads: disk.reads().0, bytes_read: disk.reads().1, ..stats },
+            _ => stats,
+        }
+    }
+}
+
+fn start(model: &Arc<Model>, readers: usize, slow: Option<DiskModel>) -> Loader<ArchiveSource> {
+    let decode = std::thread::available_parallelism().map_or(1, |n| n.get() / 2).clamp(1, MAX_DECODERS);
+    Loader::new(Threads { read: readers, decode }, ArchiveSource { model: model.clone(), slow })
+}

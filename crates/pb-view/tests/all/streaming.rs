@@ -1,0 +1,148 @@
+//! Bad luck while flying: archives that are cut, replaced or written over, and slow disks.
+
+use crate::support::{Run, adapter, column, folder, pb_view_line, small_torus, text, torus, write_flight};
+use pb_view::feed::{DiskClock, Feed};
+use pb_view::stage::open_model;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A second far away, then a long way close to the surface, at 25 frames per second.
+fn flight(folder: &Path) -> PathBuf {
+    let path = folder.join("flight.json");
+    let far = [(0.0, [0.0, 900.0, 800.0], [0.0; 3]), (1.0, [0.0, 910.0, 800.0], [0.0; 3])];
+    let near = (0..=6).map(|i| {
+        let a = i as f64 * 0.6;
+        (1.4 + i as f64 * 0.25, [4.3 * a.cos(), 0.8, -4.3 * a.sin()], [3.0 * a.cos(), 0.0, -3.0 * a.sin()])
+    });
+    let keys: Vec<_> = far.into_iter().chain(near).collect();
+    write_flight(&path, 25.0, [0.0, 1.0, 0.0], 50.0, &keys);
+    path
+}
+
+/// Flies with a copy of the torus; after the first frame `meddle` does something to the file.
+fn fly_while(name: &str, meddle: impl Fn(&Path)) -> Run {
+    let out = folder(name);
+    let _ = std::fs::remove_dir_all(out.join("frames"));
+    let (archive, path) = (out.join("copy.pb"), flight(&out));
+    std::fs::copy(torus(), &archive).unwrap();
+    let first = out.join("frames/frame_00000.png");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pb-view"));
+    let line = format!("{} --flypath {} --size 64x64 --error-px 0.1 --frames", text(&archive), text(&path));
+    command.args(line.split(' ')).arg(out.join("frames")).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    while !first.exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    meddle(&archive);
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    let code =
+        output.status.code().unwrap_or_else(|| panic!("a signal ended the program: {}: {stderr}", output.status));
+    assert!(out.join("frames/frame_00070.png").exists(), "the flight did not go on: {stderr}");
+    Run { code, stdout: String::from_utf8_lossy(&output.stdout).into_owned(), stderr }
+}
+
+/// Each chunk that is missing is named once.
+fn named(run: &Run) -> usize {
+    let mut lines: Vec<&str> = run.stderr.lines().filter(|l| l.contains("stays at level")).collect();
+    let all = lines.len();
+    lines.sort_unstable();
+    lines.dedup();
+    assert_eq!(lines.len(), all, "{}", run.stderr);
+    all
+}
+
+#[test]
+fn an_archive_that_is_cut_in_flight_leaves_the_picture_coarser() {
+    let Some(_) = adapter("an archive cut in flight") else { return };
+    let run = fly_while("cut", |archive| {
+        let file = std::fs::File::options().write(true).open(archive).unwrap();
+        file.set_len(file.metadata().unwrap().len() / 3).unwrap();
+    });
+    assert_eq!(run.code, 1, "{}", run.stderr);
+    assert!(named(&run) > 3 && run.stderr.contains("cut while it was open"), "{}", run.stderr);
+    let all_gone = fly_while("emptied", |archive| drop(std::fs::File::create(archive).unwrap()));
+    assert_eq!(all_gone.code, 1, "{}", all_gone.stderr);
+    assert!(named(&all_gone) > 3 && all_gone.stderr.contains("only 0 now"), "{}", all_gone.stderr);
+}
+
+#[test]
+fn an_archive_that_is_replaced_in_flight_is_flown_through_as_it_was() {
+    let Some(_) = adapter("an archive replaced in flight") else { return };
+    let run = fly_while("replaced", |archive| {
+        let other = archive.with_extension("other");
+        std::fs::write(&other, "something else").unwrap();
+        std::fs::rename(other, archive).unwrap();
+    });
+    assert_eq!((run.code, named(&run)), (0, 0), "{}", run.stderr);
+}
+
+#[test]
+fn an_archive_that_is_written_over_in_flight_leaves_the_picture_coarser() {
+    let Some(_) = adapter("an archive written over in flight") else { return };
+    let run = fly_while("written_over", |archive| {
+        use std::io::Write;
+        let mut file = std::fs::File::options().write(true).open(archive).unwrap();
+        file.write_all(&vec![0x5a; file.metadata().unwrap().len() as usize]).unwrap();
+    });
+    assert_eq!(run.code, 1, "{}", run.stderr);
+    assert!(named(&run) > 3 && run.stderr.contains("checksum"), "{}", run.stderr);
+}
+
+/// Missing chunks per frame of a flight with these words.
+fn missing(name: &str, more: &str) -> Vec<f64> {
+    let out = folder(name);
+    let stats = out.join("stats.csv");
+    let line = format!("{{}} --flypath {{}} --size 64x64 --error-px 0.1 --stats {{}} {more}");
+    let run = pb_view_line(&line, &[torus(), &flight(&out), &stats]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    column(&stats, "missing_chunks")
+}
+
+#[test]
+fn a_slow_disk_is_the_same_in_every_run_and_slower_than_a_fast_one() {
+    let Some(_) = adapter("slow disks") else { return };
+    let slow = missing("slow_disk", "--disk-model 60,1");
+    assert_eq!(slow, missing("slow_disk_again", "--disk-model 60,1"));
+    let sum = |all: &[f64]| all.iter().sum::<f64>();
+    let fast = missing("fast_disk", "--disk-model 0.1,5000");
+    assert!(sum(&slow) > 2.0 * sum(&fast), "{} and {}", sum(&slow), sum(&fast));
+    // A settled frame waits for any disk.
+    assert_eq!(sum(&missing("slow_disk_settled", "--disk-model 60,1 --settle")), 0.0);
+}
+
+#[test]
+fn a_recorded_flight_is_replayed_command_for_command() {
+    let Some(_) = adapter("a recorded flight") else { return };
+    let out = folder("recorded_run");
+    let record = out.join("run.jsonl");
+    let line = "{} --headless --flypath {} --size 64x64 --error-px 0.1 --vram 600KiB --ram 300KiB --record-cache {}";
+    let run = pb_view_line(line, &[torus(), &flight(&out), &record]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let file = std::io::BufReader::new(std::fs::File::open(&record).unwrap());
+    let replayed = pb_stream::journal::replay(file).unwrap();
+    assert!(replayed.frames > 70 && replayed.commands > 200, "{replayed:?}");
+    let run = pb_view_line("simulate --replay {}", &[&record]);
+    assert!(run.code == 0 && run.stdout.contains("all as recorded"), "{}", run.stderr);
+    let run = pb_view_line("simulate --replay {}", &[&flight(&out)]);
+    assert!(run.code == 2 && run.stderr.contains("not a recorded run"), "{}", run.stderr);
+}
+
+#[test]
+fn an_archive_is_simulated_without_an_adapter() {
+    let run = pb_view_line("simulate --hours 0.01 --seed 5 --archive {}", &[small_torus()]);
+    assert!(run.code == 0 && run.stdout.contains("no bound was exceeded"), "{}{}", run.stdout, run.stderr);
+}
+
+#[test]
+fn in_a_window_a_slow_disk_takes_its_time() {
+    let mut feed = Feed::new(open_model(small_torus()).unwrap());
+    feed.set_disk("15,1000".parse().unwrap(), DiskClock::Wall);
+    let start = Instant::now();
+    (0..3).for_each(|c| feed.request(pb_stream::ChunkId(c * 4)));
+    let arrived = feed.drain();
+    assert!(arrived.len() == 3 && arrived.iter().all(|a| a.1.is_ok()));
+    let stats = feed.stats();
+    assert!(stats.reads >= 1 && start.elapsed() >= Duration::from_millis(15 * stats.reads), "{stats:?}");
+}
