@@ -48,6 +48,10 @@ bench-view *ARGS:
 bench-gpu *ARGS:
     tools/bench-view {{ARGS}} --size 1920x1080
 
+# the paper's figures 6 and 8 from a generated colonnade, as reports and plots in out/figures
+figures *ARGS:
+    tools/figures {{ARGS}}
+
 # each fuzz target for SECONDS
 fuzz SECONDS="600":
     tools/fuzz-all {{SECONDS}}

@@ -137,6 +137,8 @@ pub struct Plan {
     pub error_px: f32,
     /// Triangles of all draws and coarse ranges.
     pub triangles: u64,
+    /// True when every residency floor stands at its goal: nothing fades in or out.
+    pub floors_stand: bool,
     /// True when floors stand still and nothing wanted is missing.
     pub settled: bool,
 }

@@ -174,9 +174,14 @@ impl VramPlan {
         Ok(())
     }
 
+    /// The part of [`VramPlan::bytes`] that is textures and their tables.
+    pub fn texture_bytes(&self) -> u64 {
+        self.textures.as_ref().map_or(0, TexturePlan::bytes)
+    }
+
     /// Bytes of all memory that the model will hold on the adapter: at most the bound.
     pub fn bytes(&self) -> u64 {
-        self.fixed_bytes + self.heap_units * UNIT_BYTES + self.textures.as_ref().map_or(0, TexturePlan::bytes)
+        self.fixed_bytes + self.heap_units * UNIT_BYTES + self.texture_bytes()
     }
 }
 
@@ -300,8 +305,12 @@ impl GpuModel {
 
     /// Bytes in use now: tables, coarse buffer, resident chunks. Never more than the bound.
     pub fn vram_bytes(&self) -> u64 {
-        let tiles = self.tiles.as_ref().map_or(0, GpuTiles::used_bytes);
-        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES + tiles
+        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES + self.texture_vram_bytes()
+    }
+
+    /// The part of [`GpuModel::vram_bytes`] that is textures and their tables.
+    pub fn texture_vram_bytes(&self) -> u64 {
+        self.tiles.as_ref().map_or(0, GpuTiles::used_bytes)
     }
 
     /// How the bound is spent.

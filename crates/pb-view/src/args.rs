@@ -24,6 +24,8 @@ Examples:
   pb-view statue.pb
   pb-view statue.pb --error-px 2 --vram 256MiB --color level
   pb-view statue.pb --flypath flight.json --headless --settle --frames frames --stats stats.csv
+  pb-view statue.pb --vram 64MiB --report small.html
+  pb-view statue.pb --report large.html --compare small.json
   pb-view simulate --hours 24      flies without a picture and checks what loads (pb-view simulate --help)
 
 Exit codes: 0 done; 1 the archive or the flypath is at fault; 2 the command line or the machine is.";
@@ -40,7 +42,7 @@ pub struct Args {
     pub flypath: Option<PathBuf>,
 
     /// Draw without a window, one frame after the other. Without --flypath: a default flight around the model.
-    /// --frames, --stats, --settle and --export-view do the same.
+    /// --frames, --stats, --report, --settle and --export-view do the same.
     #[arg(long)]
     pub headless: bool,
 
@@ -59,6 +61,14 @@ pub struct Args {
     /// Write one line per frame into this CSV file: times, triangles, bytes, missing chunks.
     #[arg(long, value_name = "S.csv")]
     pub stats: Option<PathBuf>,
+
+    /// Write a page with plots, figures and pictures of the flight; the same numbers go beside it as R.json and R.csv.
+    #[arg(long, value_name = "R.html")]
+    pub report: Option<PathBuf>,
+
+    /// Draw an earlier run into the plots of --report, from its R.json; may be given several times.
+    #[arg(long, value_name = "OTHER.json", requires = "report")]
+    pub compare: Vec<PathBuf>,
 
     /// At each frame wait until all that the view wants is there: the same pictures on every run.
     #[arg(long)]
@@ -232,8 +242,8 @@ pub struct Export {
 impl Args {
     /// True when no window is wanted.
     pub fn without_window(&self) -> bool {
-        let reports = self.frames.is_some() || self.stats.is_some() || !self.export_view.is_empty();
-        self.headless || self.settle || reports
+        let files = [&self.frames, &self.stats, &self.report].iter().any(|path| path.is_some());
+        self.headless || self.settle || files || !self.export_view.is_empty()
     }
 
     /// The detail asked for.
@@ -374,7 +384,8 @@ mod tests {
 
     #[test]
     fn wrong_values_say_what_is_right() {
-        let cases: [(&[&str], &str); 7] = [
+        let cases: [(&[&str], &str); 8] = [
+            (&["--compare", "a.json"], "--report"),
             (&["--size", "12"], "1280x720"),
             (&["--size", "0x5"], "1 to 16384"),
             (&["--export-view", "x.ply"], "120=frame120.ply"),

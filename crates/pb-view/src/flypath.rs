@@ -192,6 +192,12 @@ impl Flypath {
         ((self.last().t - self.keyframes[0].t) * self.fps + 1e-6).floor() as u32 + 1
     }
 
+    /// The frames nearest to the keyframes.
+    pub fn keyframe_frames(&self) -> Vec<u32> {
+        let frame = |k: &Keyframe| ((k.t - self.keyframes[0].t) * self.fps).round() as u32;
+        self.keyframes.iter().map(|k| frame(k).min(self.frames() - 1)).collect()
+    }
+
     /// Frames per second.
     pub fn fps(&self) -> f64 {
         self.fps

@@ -5,7 +5,7 @@
 use anyhow::{Context, Result, bail};
 use pb_render::{Gpu, Offscreen, PictureFormat};
 use std::io::{ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::args::Args;
@@ -14,9 +14,11 @@ use crate::failure::Outcome;
 use crate::feed::DiskClock;
 use crate::flypath::{Flypath, default_flight};
 use crate::prefetch::Prefetcher;
+use crate::report::cuts::is_cut;
+use crate::report::{self, Report};
 use crate::size::show_bytes;
 use crate::stage::{Moment, Stage, open_model, subject};
-use crate::stats::{FrameStats, StatsFile};
+use crate::stats::{Line, ProcessMemory, StatsFile};
 
 /// Vertical field of view of the default flight, degrees.
 const FOV_DEG: f64 = 50.0;
@@ -33,6 +35,9 @@ pub fn run(args: &Args) -> Result<Outcome> {
     if let Some(folder) = &args.frames {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))?;
     }
+    let report = report::prepare(args)?;
+    let stats_path = args.stats.clone().or_else(|| args.report.as_deref().map(report::csv_path));
+    let stats = stats_path.as_deref().map(StatsFile::create).transpose()?;
     let mut gpu = Gpu::headless()?;
     gpu.texture_blocks = args.textures.blocks(&gpu);
     if args.wireframe && !gpu.wireframe {
@@ -51,18 +56,23 @@ pub fn run(args: &Args) -> Result<Outcome> {
     if args.plain_draws {
         stage.renderer.set_multi_draw(&gpu, false);
     }
-    let stats = args.stats.as_deref().map(StatsFile::create).transpose()?;
-    let mut run = Run { args, gpu: &gpu, target, stats, prefetcher: args.prefetcher() };
+    let report = report.map(|r| r.begin(args, &gpu, &stage, &flight));
+    let mut run = Run { args, gpu: &gpu, target, stats, report, prefetcher: args.prefetcher() };
     let mut total = Total::default();
     for frame in 0..flight.frames() {
-        total.add(run.frame(&mut stage, &flight, frame)?);
+        total.add(&run.frame(&mut stage, &flight, frame)?);
     }
     if let Some(stats) = run.stats {
         stats.finish()?;
     }
+    let mut files = vec![("frames", args.frames.clone()), ("statistics", stats_path)];
+    if let Some(report) = run.report {
+        let [html, json] = report.finish()?;
+        files.extend([("report", Some(html)), ("its numbers", Some(json))]);
+    }
     stage.finish_recording()?;
     let damaged = stage.damaged_chunks();
-    total.print(args, damaged)?;
+    total.print(&files, damaged)?;
     Ok(if damaged == 0 { Outcome::Done } else { Outcome::Damaged })
 }
 
@@ -79,10 +89,11 @@ struct Run<'a> {
     target: Offscreen,
     stats: Option<StatsFile>,
     prefetcher: Prefetcher,
+    report: Option<Report>,
 }
 
 impl Run<'_> {
-    fn frame(&mut self, stage: &mut Stage, flight: &Flypath, frame: u32) -> Result<(FrameStats, f64)> {
+    fn frame(&mut self, stage: &mut Stage, flight: &Flypath, frame: u32) -> Result<Line> {
         let start = Instant::now();
         let key = flight.at(flight.time(frame));
         let moment = Moment { key, size: self.args.size, detail: self.args.detail(), dt_secs: flight.dt_secs() as f32 };
@@ -92,21 +103,38 @@ impl Run<'_> {
             true => stage.settle(self.gpu, &moment)?,
             false => stage.advance(self.gpu, &moment)?,
         }
+        let drawing = Instant::now();
         stage.draw(self.gpu, &self.target.surface(), &moment, self.args.style());
+        let draw_ms = drawing.elapsed().as_secs_f64() * 1e3;
         self.gpu.wait()?;
         let frame_ms = start.elapsed().as_secs_f64() * 1e3;
-        let stats = stage.stats();
+        let (t_secs, cut) = (flight.time(frame), is_cut(flight, frame));
+        let memory = if self.stats.is_some() { ProcessMemory::now() } else { ProcessMemory::default() };
+        let line = Line { frame, t_secs, frame_ms, draw_ms, cut, memory, stats: stage.stats() };
         if let Some(file) = &mut self.stats {
-            file.add(frame, flight.time(frame), frame_ms, &stats)?;
+            file.add(&line)?;
         }
-        if let Some(folder) = &self.args.frames {
-            let name = format!("frame_{frame:05}.{}", self.args.format.extension());
-            self.args.format.write(&folder.join(name), self.target.size, &self.target.read(self.gpu)?)?;
+        let thumbnail = self.report.as_mut().is_some_and(|r| r.add(&line));
+        if thumbnail || self.args.frames.is_some() {
+            self.keep_picture(frame, thumbnail)?;
         }
         for export in self.args.export_view.iter().filter(|e| e.frame == frame) {
             export_view(stage, &moment, &export.path)?;
         }
-        Ok((stats, frame_ms))
+        Ok(line)
+    }
+
+    /// Reads the picture back, for --frames and for the report.
+    fn keep_picture(&mut self, frame: u32, thumbnail: bool) -> Result<()> {
+        let pixels = self.target.read(self.gpu)?;
+        if let Some(folder) = &self.args.frames {
+            let name = format!("frame_{frame:05}.{}", self.args.format.extension());
+            self.args.format.write(&folder.join(name), self.target.size, &pixels)?;
+        }
+        if let Some(report) = self.report.as_mut().filter(|_| thumbnail) {
+            report.picture(self.target.size, &pixels)?;
+        }
+        Ok(())
     }
 }
 
@@ -127,7 +155,7 @@ struct Total {
 }
 
 impl Total {
-    fn add(&mut self, (stats, frame_ms): (FrameStats, f64)) {
+    fn add(&mut self, Line { stats, frame_ms, .. }: &Line) {
         self.frames += 1;
         self.ms += frame_ms;
         self.triangles += stats.triangles;
@@ -135,7 +163,7 @@ impl Total {
         self.ram_bytes = self.ram_bytes.max(stats.ram_bytes);
     }
 
-    fn print(&self, args: &Args, damaged: u32) -> Result<()> {
+    fn print(&self, files: &[(&str, Option<PathBuf>)], damaged: u32) -> Result<()> {
         let mut text = format!(
             "{} frames, {:.1} ms and {} triangles each on average; at most {} of VRAM and {} of RAM\n",
             self.frames,
@@ -144,7 +172,7 @@ impl Total {
             show_bytes(self.vram_bytes),
             show_bytes(self.ram_bytes)
         );
-        for (what, path) in [("frames", &args.frames), ("statistics", &args.stats)] {
+        for (what, path) in files {
             if let Some(path) = path {
                 text += &format!("{what}: {}\n", path.display());
             }

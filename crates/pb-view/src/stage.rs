@@ -4,7 +4,7 @@
 //! settle; draw what is not resident; decide by itself what is loaded.
 
 use anyhow::{Context, Result};
-use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View};
+use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View, Want};
 use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
@@ -19,10 +19,12 @@ use pb_stream::loader::{LoadResult, LoadStats};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use crate::export::ShownFrame;
 use crate::feed::{CoarseChunks, DiskClock, Feed, Loaded, chunk_data};
 use crate::flypath::Keyframe;
+use crate::meter::Meter;
 use crate::navigate::Subject;
 use crate::prefetch::{Expected, Latency};
 use crate::stats::FrameStats;
@@ -95,6 +97,7 @@ pub struct Stage {
     clock: f64,
     asked_at: BTreeMap<pb_stream::ChunkId, f64>,
     latency: Latency,
+    meter: Meter,
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
     near: f64,
@@ -151,6 +154,7 @@ impl Stage {
             clock: 0.0,
             asked_at: BTreeMap::new(),
             latency: Latency::default(),
+            meter: Meter::new(chunks),
             switch: None,
             near: s.radius * 2.0 * NEAR,
             model,
@@ -165,6 +169,7 @@ impl Stage {
     /// One frame: what is here is drawn, what is wanted is asked for.
     pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
         self.clock += moment.dt_secs as f64;
+        self.meter.begin_frame();
         for (chunk, result) in self.feed.take(moment.dt_secs) {
             self.accept(chunk, result);
         }
@@ -175,6 +180,7 @@ impl Stage {
 
     /// One frame that waits until all that is wanted and fits is here, and floors stand still.
     pub fn settle(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
+        self.meter.begin_frame();
         for _ in 0..MAX_SETTLE_ROUNDS {
             let before = std::mem::take(&mut self.plan);
             self.step(gpu, moment, f32::INFINITY);
@@ -192,6 +198,7 @@ impl Stage {
 
     /// Selects, and carries out what the cache says.
     fn step(&mut self, gpu: &Gpu, moment: &Moment, dt_secs: f32) {
+        let start = Instant::now();
         self.mark_resident();
         let views = |keys: &[Keyframe]| keys.iter().map(|k| self.camera(k).view(moment.size)).collect::<Vec<View>>();
         let (soon, later) = (views(&self.expected.soon), views(&self.expected.later));
@@ -210,16 +217,29 @@ impl Stage {
         let wants: Vec<pb_stream::Want> =
             self.plan.wants.iter().filter(|w| !self.model.always_resident(w.chunk)).map(stream_want).collect();
         let released: Vec<pb_stream::ChunkId> = self.plan.released.iter().map(|c| pb_stream::ChunkId(c.0)).collect();
-        for command in self.cache.frame(&wants, &released) {
+        let commands = self.cache.frame(&wants, &released);
+        let decided = Instant::now();
+        self.meter_wants();
+        for command in commands {
             self.carry_out(gpu, command);
         }
         self.feed.reorder(&self.plan.wants);
+        self.meter.step(start, decided);
+    }
+
+    fn meter_wants(&mut self) {
+        let (model, cache, resident) = (&self.model, &self.cache, &self.resident);
+        self.meter.wants(&self.plan.wants, |chunk| {
+            let there = resident[chunk.0 as usize] || cache.in_ram(pb_stream::ChunkId(chunk.0));
+            there.then(|| stored_bytes(model, chunk))
+        });
     }
 
     fn carry_out(&mut self, gpu: &Gpu, command: Command) {
         match command {
             Command::Load(chunk) => {
                 self.asked_at.insert(chunk, self.clock);
+                self.meter.asked(ChunkId(chunk.0));
                 self.feed.request(chunk);
             }
             Command::DropRam(chunk) => self.decoded[chunk.0 as usize] = None,
@@ -234,7 +254,10 @@ impl Stage {
                     Loaded::Texture(bytes) => model.upload_texture(gpu, id, bytes).is_ok(),
                 };
                 match there {
-                    true => self.cache.uploaded(chunk),
+                    true => {
+                        self.meter.uploaded(self.model.decoded_bytes(id) as u64);
+                        self.cache.uploaded(chunk);
+                    }
                     false => self.cache.upload_failed(chunk),
                 }
             }
@@ -285,6 +308,8 @@ impl Stage {
         match result {
             Ok(data) => {
                 self.decoded[chunk.0 as usize] = Some(data);
+                let id = ChunkId(chunk.0);
+                self.meter.read(id, stored_bytes(&self.model, id));
                 self.cache.loaded(chunk);
             }
             Err(error) => {
@@ -344,6 +369,13 @@ impl Stage {
     /// Numbers of the last step.
     pub fn stats(&self) -> FrameStats {
         let coarse_draws = self.plan.coarse.len() as u32;
+        let now = self.plan.wants.iter().take_while(|w| w.class == Class::Now);
+        let absent = |w: &&Want| !self.resident[w.chunk.0 as usize];
+        let (tau, k) = match self.plan.detail {
+            Some(Detail::ErrorPx(tau)) => (tau, 0.0),
+            Some(Detail::Bands { k, .. }) => (0.0, k),
+            None => (0.0, 0.0),
+        };
         FrameStats {
             triangles: self.plan.triangles,
             draws: self.plan.draws.len() as u32 + coarse_draws,
@@ -352,10 +384,15 @@ impl Stage {
             missing_chunks: self.plan.missing_chunks,
             error_px: self.plan.error_px,
             coarse_draws,
-            allowed_error_px: match self.plan.detail {
-                Some(Detail::ErrorPx(tau)) => tau,
-                _ => 0.0,
-            },
+            allowed_error_px: tau,
+            band_k: k,
+            texture_vram_bytes: self.renderer.model.texture_vram_bytes(),
+            wanted_chunks: now.clone().count() as u32,
+            missing_textures: now.filter(absent).filter(|w| self.model.is_texture(w.chunk)).count() as u32,
+            fading: !self.plan.floors_stand,
+            loads_in_flight: self.cache.stats().loads_in_flight,
+            traffic: self.meter.traffic(),
+            times: self.meter.times(),
         }
     }
 
@@ -363,6 +400,10 @@ impl Stage {
     pub fn damaged_chunks(&self) -> u32 {
         self.cache.stats().failed
     }
+}
+
+fn stored_bytes(model: &Model, chunk: ChunkId) -> u64 {
+    model.archive().chunks()[chunk.0 as usize].stored_bytes as u64
 }
 
 /// The cache's view of the chunks: those that are always there are outside of it.

@@ -115,6 +115,7 @@ impl Selector {
         self.want_ahead(frame.prefetch.later, Class::Maybe, targets, frame, &mut plan);
         self.order_wants(frame, &mut plan);
         plan.floors = self.floors.all().to_vec();
+        plan.floors_stand = floors_stand;
         plan.settled = floors_stand && self.controls.iter().all(DetailControl::settled) && plan.missing_chunks == 0;
         plan
     }

@@ -6,6 +6,7 @@ mod headless;
 mod mistakes;
 mod pops;
 mod reference;
+mod reports;
 mod streaming;
 mod support;
 mod textured;
