@@ -182,10 +182,7 @@ impl Feed {
         }
         self.frame += 1;
         for (place, want) in (0..).zip(wants) {
-            let rank = &mut self.ranks[want.chunk.0 as usize];
-            if rank.0 != self.frame {
-                *rank = (self.frame, place);
-            }
+            self.ranks[want.chunk.0 as usize] = (self.frame, place);
         }
         let (ranks, frame) = (&self.ranks, self.frame);
         let rank = |chunk: pb_stream::ChunkId| match ranks[chunk.0 as usize] {

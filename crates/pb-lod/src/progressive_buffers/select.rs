@@ -148,24 +148,16 @@ impl Selector {
 
     /// Chunks that the views of this frame want; a target each for geometry and textures.
     fn want(&self, walk: &Walk, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        let t = &self.tables;
-        for (ladder, target) in t.ladders().zip(targets) {
-            let switch = Switch::new(target.detail, 1.0, t.quantum);
-            for seen in &walk.seen {
-                let reach = seen.reach.max(seen.girth * target.nearest);
-                let coarsest = t.coarsest(ladder, seen.cluster);
-                let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
-                let levels = match (seen.place, frame.prefetch.around) {
-                    (Place::Visible, true) => [level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)],
-                    (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
-                    (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
-                    (Place::Visible, false) => [level(1.0); 3],
-                    (_, false) if walk.touches_visible(t, seen.cluster) => [coarsest, level(1.0), level(1.0)],
-                    (_, false) => continue,
-                };
-                self.want_cluster(ladder, seen, levels, frame, plan);
-            }
-        }
+        self.want_seen(walk, targets, frame, plan, |seen, coarsest, level| {
+            Some(match (seen.place, frame.prefetch.around) {
+                (Place::Visible, true) => [level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)],
+                (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
+                (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
+                (Place::Visible, false) => [level(1.0); 3],
+                (_, false) if walk.touches_visible(&self.tables, seen.cluster) => [coarsest, level(1.0), level(1.0)],
+                (_, false) => return None,
+            })
+        });
     }
 
     /// Chunks that cameras to come will draw, of class Soon or Maybe.
@@ -177,14 +169,32 @@ impl Selector {
         let eyes = Eyes::new(views, frame.detail, t);
         let finest = DetailControl::finest(&self.controls, frame.detail);
         let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), 1.0);
+        self.want_seen(&walk, targets, frame, plan, |seen, coarsest, level| {
+            let drawn = seen.place == Place::Visible || walk.touches_visible(t, seen.cluster);
+            let soon = if class == Class::Soon { level(1.0) } else { coarsest };
+            drawn.then(|| [coarsest, soon, level(1.0)])
+        });
+    }
+
+    /// Wants the chunks of what a walk saw. `levels` tells from which level on by class, Now first, or that nothing of a
+    /// cluster is wanted; it gets the coarsest level and that of a fraction of the distance.
+    fn want_seen(
+        &self,
+        walk: &Walk,
+        targets: [&Target; 2],
+        frame: &Frame,
+        plan: &mut Plan,
+        levels: impl Fn(&Seen, u32, &dyn Fn(f32) -> u32) -> Option<[u32; 3]>,
+    ) {
+        let t = &self.tables;
         for (ladder, target) in t.ladders().zip(targets) {
             let switch = Switch::new(target.detail, 1.0, t.quantum);
-            for seen in walk.seen.iter().filter(|s| s.place == Place::Visible || walk.touches_visible(t, s.cluster)) {
+            for seen in &walk.seen {
                 let reach = seen.reach.max(seen.girth * target.nearest);
-                let level = t.ladder_lod(ladder, &switch, seen.cluster, reach) as u32;
-                let coarsest = t.coarsest(ladder, seen.cluster);
-                let soon = if class == Class::Soon { level } else { coarsest };
-                self.want_cluster(ladder, seen, [coarsest, soon, level], frame, plan);
+                let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
+                if let Some(levels) = levels(seen, t.coarsest(ladder, seen.cluster), &level) {
+                    self.want_cluster(ladder, seen, levels, frame, plan);
+                }
             }
         }
     }
