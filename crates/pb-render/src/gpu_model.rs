@@ -11,7 +11,7 @@ use wgpu::BufferUsages;
 
 use crate::error::RenderError;
 use crate::gpu::Gpu;
-use crate::heap::{Heap, HeapFull, Move, UNIT_BYTES};
+use crate::heap::{Heap, HeapFull, Move, UNIT_BYTES, plannable_units};
 use crate::share::{Party, share};
 use crate::squares::PagesFull;
 use crate::tables::{ClusterGpu, DrawArguments, LevelGpu};
@@ -103,6 +103,13 @@ pub struct AdapterLimits {
 }
 
 impl AdapterLimits {
+    /// No adapter: what every one with memory of its own has, and compressed textures.
+    pub const COMMON: AdapterLimits = AdapterLimits {
+        binding_bytes: (2 << 30) - 1,
+        pages: PageLimits { side: 16384, layers: 2048, bytes: 4 << 30 },
+        blocks: true,
+    };
+
     /// Of an opened adapter.
     pub fn of(gpu: &Gpu) -> Self {
         Self { binding_bytes: gpu.largest_storage_bytes(), pages: PageLimits::of(gpu), blocks: gpu.texture_blocks }
@@ -172,6 +179,24 @@ impl VramPlan {
             t.give(&shares[..shares.len() - 1]);
         }
         Ok(())
+    }
+
+    /// Bytes that finer chunks of geometry may fill together, in those of [`ModelTables::chunk_vram_bytes`].
+    pub fn chunk_budget_bytes(&self) -> u64 {
+        let units = plannable_units((self.heap_units - self.coarse_units) as u32, self.largest_units);
+        units as u64 * UNIT_BYTES
+    }
+
+    /// Budget for texture chunks that are no tails, and what each texture chunk costs of it (bytes, or more where
+    /// the pool of one of its formats is short). Nothing where the model has no textures.
+    pub fn texture_costs(&self, tables: &ModelTables) -> (u64, Vec<u64>) {
+        self.textures.as_ref().zip(tables.textures.as_ref()).map_or((0, Vec::new()), |(plan, t)| plan.costs(t))
+    }
+
+    /// Tables, scratch space and the coarse buffer: what is there from the start, but for the tails of textures.
+    pub fn start_bytes(&self) -> u64 {
+        let textures = self.textures.as_ref().map_or(0, TexturePlan::fixed_bytes);
+        self.fixed_bytes + self.coarse_units * UNIT_BYTES + textures
     }
 
     /// The part of [`VramPlan::bytes`] that is textures and their tables.
@@ -300,7 +325,7 @@ impl GpuModel {
     /// Bytes that the finer chunks may fill together: the byte bound of a cache in front of this model, in the
     /// bytes of [`ModelTables::chunk_vram_bytes`].
     pub fn chunk_budget_bytes(&self) -> u64 {
-        self.heap.plannable_units(self.plan.largest_units) as u64 * UNIT_BYTES
+        self.plan.chunk_budget_bytes()
     }
 
     /// Bytes in use now: tables, coarse buffer, resident chunks. Never more than the bound.

@@ -3,7 +3,7 @@
 //! A single heap leaves no split between vertices and indices to get wrong. Free space that is scattered over
 //! too small holes is brought together by sliding the ranges down ([`Heap::allocate`] asks for it by itself), so
 //! an allocation fails only when the bytes are not there, give or take an eighth of itself
-//! ([`Heap::plannable_units`] leaves that out, so whoever keeps to it never fails).
+//! ([`plannable_units`] leaves that out, so whoever keeps to it never fails).
 //! Must never: hand out a range that is in use; know what is inside a range.
 
 use offset_allocator::{Allocation, Allocator};
@@ -51,18 +51,18 @@ pub struct HeapFull {
     free: u32,
 }
 
+/// Units, of so many that are not pinned, that a caller may plan with when no chunk has more than `largest_units`:
+/// the allocator rounds a hole down by up to an eighth, so that much of one chunk stays unplanned.
+pub fn plannable_units(units: u32, largest_units: u32) -> u32 {
+    units.saturating_sub(largest_units / 8 + 16)
+}
+
 impl Heap {
     /// A heap of `capacity_units` units, of which the first `pinned_units` are in use for ever.
     pub fn new(capacity_units: u32, pinned_units: u32, slots: usize) -> Self {
         assert!(pinned_units <= capacity_units, "the coarse buffer fits the heap");
         let allocator = Allocator::with_max_allocs(capacity_units - pinned_units, allocations(slots));
         Self { allocator, ranges: vec![None; slots], pinned_units, capacity_units, used_units: 0 }
-    }
-
-    /// Units that a caller may plan with, pinned ones not included, when no chunk has more than `largest_units`:
-    /// the allocator rounds a hole down by up to an eighth, so that much of one chunk stays unplanned.
-    pub fn plannable_units(&self, largest_units: u32) -> u32 {
-        (self.capacity_units - self.pinned_units).saturating_sub(largest_units / 8 + 16)
     }
 
     /// Units in use, pinned ones included.
@@ -170,7 +170,7 @@ mod tests {
                 continue;
             }
             let units = 1 + next(&mut state) % largest;
-            if used + units > heap.plannable_units(largest) {
+            if used + units > plannable_units(heap.capacity_units - heap.pinned_units, largest) {
                 continue;
             }
             let (range, moves) = heap.allocate(slot, units).expect("within what may be planned");

@@ -25,6 +25,13 @@ pub struct DiskModel {
 )]
 pub struct DiskModelError(String);
 
+impl Default for DiskModel {
+    /// Reads all at once.
+    fn default() -> Self {
+        Self { latency: Duration::ZERO, bytes_per_sec: f64::INFINITY }
+    }
+}
+
 impl FromStr for DiskModel {
     type Err = DiskModelError;
 

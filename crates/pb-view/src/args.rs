@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use crate::picture::Format;
 use crate::prefetch::Prefetcher;
 use crate::size::parse_bytes;
-use crate::stage::Bounds;
+use crate::streaming::Bounds;
 
 const AFTER_HELP: &str = "\
 In the window:
@@ -159,6 +159,11 @@ pub struct Args {
     #[arg(long, hide = true, value_name = "R.jsonl")]
     pub record_cache: Option<PathBuf>,
 
+    /// Fly without a graphics adapter and without a picture: only what is loaded when, in a fraction of the flight's time.
+    /// Nothing is read; with --disk-model chunks arrive when that disk would have read them, else in the next frame.
+    #[arg(long, conflicts_with_all = ["frames", "late_frames"])]
+    pub no_draw: bool,
+
     /// One draw call per cluster even where the adapter takes many in one.
     #[arg(long, hide = true)]
     pub plain_draws: bool,
@@ -243,7 +248,7 @@ impl Args {
     /// True when no window is wanted.
     pub fn without_window(&self) -> bool {
         let files = [&self.frames, &self.stats, &self.report].iter().any(|path| path.is_some());
-        self.headless || self.settle || files || !self.export_view.is_empty()
+        self.headless || self.no_draw || self.settle || files || !self.export_view.is_empty()
     }
 
     /// The detail asked for.

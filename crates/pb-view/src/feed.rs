@@ -28,6 +28,8 @@ pub enum Loaded {
     Geometry(Chunk),
     /// Mips as the archive has them.
     Texture(Vec<u8>),
+    /// Only its arrival is simulated: nothing will be drawn.
+    Unread,
 }
 
 /// Which clock a slow disk has.
@@ -134,7 +136,8 @@ enum Pace {
 /// Chunks under way.
 pub struct Feed {
     model: Arc<Model>,
-    loader: Loader<ArchiveSource>,
+    /// None where nothing is read.
+    loader: Option<Loader<ArchiveSource>>,
     pace: Pace,
     /// Virtual time: the sum of the frames'.
     now: Duration,
@@ -148,10 +151,18 @@ pub struct Feed {
 impl Feed {
     /// Starts the threads.
     pub fn new(model: Arc<Model>) -> Self {
-        let loader = start(&model, READERS, None);
+        let loader = Some(start(&model, READERS, None));
+        Self::with(model, loader, Pace::AsTheyCome)
+    }
+
+    /// Reads nothing: chunks come when this disk would have read them, on the frames' clock, and are empty.
+    pub fn unread(model: Arc<Model>, disk: DiskModel) -> Self {
+        Self::with(model, None, Pace::Disk(Box::new(Disk::new(disk))))
+    }
+
+    fn with(model: Arc<Model>, loader: Option<Loader<ArchiveSource>>, pace: Pace) -> Self {
         let ranks = vec![(0, 0); model.chunk_count() as usize];
-        let (pace, now) = (Pace::AsTheyCome, Duration::ZERO);
-        Self { model, loader, pace, now, early: BTreeMap::new(), ranks, frame: 0 }
+        Self { model, loader, pace, now: Duration::ZERO, early: BTreeMap::new(), ranks, frame: 0 }
     }
 
     /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
@@ -163,21 +174,24 @@ impl Feed {
     pub fn set_disk(&mut self, model: DiskModel, clock: DiskClock) {
         match clock {
             DiskClock::Frames => self.pace = Pace::Disk(Box::new(Disk::new(model))),
-            DiskClock::Wall => self.loader = start(&self.model, 1, Some(model)),
+            DiskClock::Wall => self.loader = Some(start(&self.model, 1, Some(model))),
         }
     }
 
     /// Asks for a chunk.
     pub fn request(&mut self, chunk: pb_stream::ChunkId) {
-        self.loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
+        if let Some(loader) = &mut self.loader {
+            loader.request(chunk).expect("the cache keeps fewer loads in flight than the queue holds");
+        }
         if let Pace::Disk(disk) = &mut self.pace {
-            disk.ask(chunk, self.loader.source().extent(chunk));
+            disk.ask(chunk, extent(&self.model, chunk));
         }
     }
 
     /// What is under way is read in the order of these wants, most urgent first; what is not among them, last.
     pub fn reorder(&mut self, wants: &[Want]) {
-        if self.loader.outstanding() == 0 && self.early.is_empty() {
+        let loading = self.loader.as_ref().is_none_or(|l| l.outstanding() > 0);
+        if !loading && self.early.is_empty() {
             return;
         }
         self.frame += 1;
@@ -191,7 +205,7 @@ impl Feed {
         };
         match &mut self.pace {
             Pace::Disk(disk) => disk.reorder(rank),
-            _ => self.loader.reorder(rank),
+            _ => self.loader.iter().for_each(|l| l.reorder(rank)),
         }
     }
 
@@ -199,10 +213,10 @@ impl Feed {
     pub fn take(&mut self, dt_secs: f32) -> Vec<Arrival> {
         self.now += Duration::try_from_secs_f32(dt_secs).unwrap_or_default();
         let read = match &mut self.pace {
-            Pace::AsTheyCome => return std::iter::from_fn(|| self.loader.try_next()).collect(),
+            Pace::AsTheyCome => return std::iter::from_fn(|| self.loader.as_mut()?.try_next()).collect(),
             Pace::Late(frames, waiting) => {
                 waiting.iter_mut().for_each(|(left, _)| *left -= 1);
-                waiting.extend(self.loader.drain().into_iter().map(|arrival| (*frames, arrival)));
+                waiting.extend(drain(&mut self.loader).into_iter().map(|arrival| (*frames, arrival)));
                 let due = waiting.iter().take_while(|(left, _)| *left == 0).count();
                 return waiting.drain(..due).map(|(_, arrival)| arrival).collect();
             }
@@ -214,33 +228,43 @@ impl Feed {
     /// Waits for all that was asked for, and returns it in an order that does not depend on threads.
     pub fn drain(&mut self) -> Vec<Arrival> {
         match &mut self.pace {
-            Pace::AsTheyCome => self.loader.drain(),
+            Pace::AsTheyCome => drain(&mut self.loader),
             Pace::Late(_, waiting) => {
                 let waiting = std::mem::take(waiting).into_iter().map(|(_, arrival)| arrival);
-                waiting.chain(self.loader.drain()).collect()
+                waiting.chain(drain(&mut self.loader)).collect()
             }
             Pace::Disk(disk) => disk.finish().into_iter().map(|chunk| self.wait_for(chunk)).collect(),
         }
     }
 
     fn wait_for(&mut self, chunk: pb_stream::ChunkId) -> Arrival {
+        let Some(loader) = &mut self.loader else { return (chunk, Ok(Loaded::Unread)) };
         loop {
             if let Some(result) = self.early.remove(&chunk) {
                 return (chunk, result);
             }
-            let (other, result) = self.loader.wait_next().expect("the slow disk reads what the loader was asked for");
+            let (other, result) = loader.wait_next().expect("the slow disk reads what the loader was asked for");
             self.early.insert(other, result);
         }
     }
 
     /// What was read up to now; on virtual time by the slow disk, so that it is the same in every run.
     pub fn stats(&self) -> LoadStats {
-        let stats = self.loader.stats();
+        let stats = self.loader.as_ref().map_or(LoadStats::default(), Loader::stats);
         match &self.pace {
             Pace::Disk(disk) => LoadStats { reads: disk.reads().0, bytes_read: disk.reads().1, ..stats },
             _ => stats,
         }
     }
+}
+
+fn drain(loader: &mut Option<Loader<ArchiveSource>>) -> Vec<Arrival> {
+    loader.as_mut().map_or(Vec::new(), Loader::drain)
+}
+
+fn extent(model: &Model, chunk: pb_stream::ChunkId) -> Extent {
+    let (offset, bytes) = model.extent(ChunkId(chunk.0));
+    Extent { offset, bytes: bytes.into() }
 }
 
 fn start(model: &Arc<Model>, readers: usize, slow: Option<DiskModel>) -> Loader<ArchiveSource> {

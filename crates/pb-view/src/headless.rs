@@ -3,7 +3,6 @@
 //! Must never: let the wall clock into what is drawn; with --settle, let the threads either.
 
 use anyhow::{Context, Result, bail};
-use pb_render::{Gpu, Offscreen, PictureFormat};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,14 +10,14 @@ use std::time::Instant;
 use crate::args::Args;
 use crate::export::write_ply;
 use crate::failure::Outcome;
-use crate::feed::DiskClock;
+use crate::flyer::Flyer;
 use crate::flypath::{Flypath, default_flight};
 use crate::prefetch::Prefetcher;
 use crate::report::cuts::is_cut;
 use crate::report::{self, Report};
 use crate::size::show_bytes;
-use crate::stage::{Moment, Stage, open_model, subject};
 use crate::stats::{Line, ProcessMemory, StatsFile};
+use crate::streaming::{Moment, Streaming, open_model, subject};
 
 /// Vertical field of view of the default flight, degrees.
 const FOV_DEG: f64 = 50.0;
@@ -38,29 +37,15 @@ pub fn run(args: &Args) -> Result<Outcome> {
     let report = report::prepare(args)?;
     let stats_path = args.stats.clone().or_else(|| args.report.as_deref().map(report::csv_path));
     let stats = stats_path.as_deref().map(StatsFile::create).transpose()?;
-    let mut gpu = Gpu::headless()?;
-    gpu.texture_blocks = args.textures.blocks(&gpu);
-    if args.wireframe && !gpu.wireframe {
-        eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
-    }
-    let target = Offscreen::new(&gpu, args.size, args.format.texture(), args.samples)?;
-    let mut stage =
-        Stage::new(&gpu, model, args.bounds(), PictureFormat { color: target.format, samples: args.samples })?;
-    stage.set_late_frames(args.late_frames);
-    if let Some(disk) = args.disk_model {
-        stage.set_disk(disk, DiskClock::Frames);
-    }
+    let mut flyer = Flyer::new(args, model)?;
     if let Some(path) = &args.record_cache {
-        stage.record_cache(path)?;
+        flyer.streaming_mut().record_cache(path)?;
     }
-    if args.plain_draws {
-        stage.renderer.set_multi_draw(&gpu, false);
-    }
-    let report = report.map(|r| r.begin(args, &gpu, &stage, &flight));
-    let mut run = Run { args, gpu: &gpu, target, stats, report, prefetcher: args.prefetcher() };
+    let report = report.map(|r| r.begin(args, &flyer, &flight));
+    let mut run = Run { args, stats, report, prefetcher: args.prefetcher() };
     let mut total = Total::default();
     for frame in 0..flight.frames() {
-        total.add(&run.frame(&mut stage, &flight, frame)?);
+        total.add(&run.frame(&mut flyer, &flight, frame)?);
     }
     if let Some(stats) = run.stats {
         stats.finish()?;
@@ -70,8 +55,8 @@ pub fn run(args: &Args) -> Result<Outcome> {
         let [html, json] = report.finish()?;
         files.extend([("report", Some(html)), ("its numbers", Some(json))]);
     }
-    stage.finish_recording()?;
-    let damaged = stage.damaged_chunks();
+    flyer.streaming_mut().finish_recording()?;
+    let damaged = flyer.streaming().damaged_chunks();
     total.print(&files, damaged)?;
     Ok(if damaged == 0 { Outcome::Done } else { Outcome::Damaged })
 }
@@ -85,63 +70,55 @@ fn check_exports(args: &Args, frames: u32) -> Result<()> {
 
 struct Run<'a> {
     args: &'a Args,
-    gpu: &'a Gpu,
-    target: Offscreen,
     stats: Option<StatsFile>,
     prefetcher: Prefetcher,
     report: Option<Report>,
 }
 
 impl Run<'_> {
-    fn frame(&mut self, stage: &mut Stage, flight: &Flypath, frame: u32) -> Result<Line> {
+    fn frame(&mut self, flyer: &mut Flyer, flight: &Flypath, frame: u32) -> Result<Line> {
         let start = Instant::now();
         let key = flight.at(flight.time(frame));
         let moment = Moment { key, size: self.args.size, detail: self.args.detail(), dt_secs: flight.dt_secs() as f32 };
         let at = Some((flight, flight.time(frame)));
-        stage.expect(self.prefetcher.expect(&key, flight.dt_secs(), at, stage.latency()));
-        match self.args.settle {
-            true => stage.settle(self.gpu, &moment)?,
-            false => stage.advance(self.gpu, &moment)?,
-        }
-        let drawing = Instant::now();
-        stage.draw(self.gpu, &self.target.surface(), &moment, self.args.style());
-        let draw_ms = drawing.elapsed().as_secs_f64() * 1e3;
-        self.gpu.wait()?;
+        let streaming = flyer.streaming_mut();
+        streaming.expect(self.prefetcher.expect(&key, flight.dt_secs(), at, streaming.latency()));
+        let draw_ms = flyer.frame(&moment, self.args.settle, self.args.style())?;
         let frame_ms = start.elapsed().as_secs_f64() * 1e3;
         let (t_secs, cut) = (flight.time(frame), is_cut(flight, frame));
         let memory = if self.stats.is_some() { ProcessMemory::now() } else { ProcessMemory::default() };
-        let line = Line { frame, t_secs, frame_ms, draw_ms, cut, memory, stats: stage.stats() };
+        let line = Line { frame, t_secs, frame_ms, draw_ms, cut, memory, stats: flyer.stats() };
         if let Some(file) = &mut self.stats {
             file.add(&line)?;
         }
         let thumbnail = self.report.as_mut().is_some_and(|r| r.add(&line));
         if thumbnail || self.args.frames.is_some() {
-            self.keep_picture(frame, thumbnail)?;
+            self.keep_picture(flyer, frame, thumbnail)?;
         }
         for export in self.args.export_view.iter().filter(|e| e.frame == frame) {
-            export_view(stage, &moment, &export.path)?;
+            export_view(flyer.streaming(), &moment, &export.path)?;
         }
         Ok(line)
     }
 
     /// Reads the picture back, for --frames and for the report.
-    fn keep_picture(&mut self, frame: u32, thumbnail: bool) -> Result<()> {
-        let pixels = self.target.read(self.gpu)?;
+    fn keep_picture(&mut self, flyer: &Flyer, frame: u32, thumbnail: bool) -> Result<()> {
+        let Some((size, pixels)) = flyer.picture()? else { return Ok(()) };
         if let Some(folder) = &self.args.frames {
             let name = format!("frame_{frame:05}.{}", self.args.format.extension());
-            self.args.format.write(&folder.join(name), self.target.size, &pixels)?;
+            self.args.format.write(&folder.join(name), size, &pixels)?;
         }
         if let Some(report) = self.report.as_mut().filter(|_| thumbnail) {
-            report.picture(self.target.size, &pixels)?;
+            report.picture(size, &pixels)?;
         }
         Ok(())
     }
 }
 
-fn export_view(stage: &Stage, moment: &Moment, path: &Path) -> Result<()> {
-    let shown = stage.shown(moment);
+fn export_view(streaming: &Streaming, moment: &Moment, path: &Path) -> Result<()> {
+    let shown = streaming.shown(moment);
     let surface = shown.surface()?;
-    write_ply(path, &surface, &shown.eye, stage.model.record())
+    write_ply(path, &surface, &shown.eye, streaming.model.record())
 }
 
 /// Sums for the line at the end.

@@ -7,6 +7,7 @@ pub mod args;
 mod export;
 pub mod failure;
 pub mod feed;
+mod flyer;
 pub mod flypath;
 mod headless;
 mod meter;
@@ -18,8 +19,9 @@ pub mod report;
 mod screen;
 pub mod simulate;
 mod size;
-pub mod stage;
+mod stage;
 mod stats;
+pub mod streaming;
 mod window;
 
 /// Runs the program.

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::failure::Outcome;
-use crate::stage::open_model;
+use crate::streaming::open_model;
 use random::Random;
 use scene::SimScene;
 use world::{Tally, World};

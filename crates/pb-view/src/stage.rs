@@ -1,433 +1,108 @@
-//! The frame loop's inside: selection, cache, loader threads and adapter, brought together for one model.
+//! A model on its way from the file to the picture: [`Streaming`] and the renderer.
 //!
-//! Per frame: select -> wants -> cache -> loads, uploads, frees -> draw. Must never: block on a loader, except to
-//! settle; draw what is not resident; decide by itself what is loaded.
+//! Must never: draw what is not resident.
 
 use anyhow::{Context, Result};
-use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View, Want};
-use pb_lod::progressive_buffers::layout::ModelRecord;
-use pb_lod::progressive_buffers::model::{Model, ModelError};
-use pb_lod::progressive_buffers::select::{SelectTables, Selector};
+use pb_lod::plan::ChunkId;
+use pb_lod::progressive_buffers::model::Model;
 use pb_lod::progressive_buffers::switch::Switch;
-use pb_render::{
-    Camera, ChunkData, Coarse, Gpu, ModelTables, PictureFormat, Renderer, Scene, Style, Surface, grid_eye,
-};
-use pb_stream::cache::{ChunkInfo, Command, Limits};
-use pb_stream::disk::DiskModel;
-use pb_stream::journal::Recorded;
-use pb_stream::loader::{LoadResult, LoadStats};
-use std::collections::BTreeMap;
-use std::path::Path;
+use pb_render::{ChunkData, Coarse, Gpu, PictureFormat, Renderer, Scene, Style, Surface, grid_eye};
 use std::sync::Arc;
-use std::time::Instant;
 
-use crate::export::ShownFrame;
-use crate::feed::{CoarseChunks, DiskClock, Feed, Loaded, chunk_data};
-use crate::flypath::Keyframe;
-use crate::meter::Meter;
-use crate::navigate::Subject;
-use crate::prefetch::{Expected, Latency};
+use crate::feed::{CoarseChunks, Feed, Loaded, chunk_data};
 use crate::stats::FrameStats;
+use crate::streaming::{Adapter, Bounds, Moment, Streaming, VramCosts, model_tables};
 
-/// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
-const NEAR: f64 = 1e-6;
-/// More bytes than any bound has: of chunks that are never wanted, and small enough to be summed up.
-const NEVER_FITS: u64 = 1 << 56;
-/// Most rounds of settling one frame.
-const MAX_SETTLE_ROUNDS: u32 = 100_000;
-
-/// Bounds of the upper tiers and of the picture.
-#[derive(Clone, Copy, Debug)]
-pub struct Bounds {
-    /// Model data on the adapter.
-    pub vram_bytes: u64,
-    /// Decoded chunks in memory.
-    pub ram_bytes: u64,
-    /// Triangles of a picture.
-    pub max_triangles: u64,
-}
-
-/// One frame's place, time and wishes.
-#[derive(Clone, Copy, Debug)]
-pub struct Moment {
-    /// The camera.
-    pub key: Keyframe,
-    /// Width and height of the picture, pixels.
-    pub size: [u32; 2],
-    /// Error or bands asked for.
-    pub detail: Detail,
-    /// Seconds since the last frame.
-    pub dt_secs: f32,
-}
-
-/// Opens an archive and warns of nothing: a model that opens can be drawn at its coarsest level or says why not.
-pub fn open_model(path: &Path) -> Result<Arc<Model>, ModelError> {
-    Model::open(path).map(Arc::new)
-}
-
-/// The sphere around the model's bounds, world space, for cameras that go around it.
-pub fn subject(model: &ModelRecord, up: glam::DVec3) -> Subject {
-    let world =
-        |grid: [i32; 3]| glam::DVec3::from(model.origin) + glam::DVec3::from(grid.map(|g| g as f64)) * model.quantum;
-    let (low, high) = (world(model.bounds_min), world(model.bounds_max));
-    Subject { center: (low + high) * 0.5, radius: (low.distance(high) * 0.5).max(model.quantum), up }
-}
-
-/// A model on its way from the file to the picture.
+/// A model that is streamed and drawn.
 pub struct Stage {
-    /// The open archive.
-    pub model: Arc<Model>,
+    /// What is here, and what is under way.
+    pub streaming: Streaming,
     /// What draws it.
     pub renderer: Renderer,
-    selector: Selector,
-    cache: Recorded,
-    feed: Feed,
-    /// Decoded chunks, by chunk.
-    decoded: Vec<Option<Loaded>>,
-    /// May be drawn, by chunk: the cache's and those that always are.
-    resident: Vec<bool>,
-    always_resident: Vec<u32>,
-    /// Of geometry with the coarse buffer, and of textures without their tails.
-    budgets: [u64; 2],
-    max_triangles: u64,
-    plan: Plan,
-    /// What is loaded ahead.
-    expected: Expected,
-    /// Sum of the frames' times, seconds; when chunks were asked for; how long they take.
-    clock: f64,
-    asked_at: BTreeMap<pb_stream::ChunkId, f64>,
-    latency: Latency,
-    meter: Meter,
     /// What the adapter's switch distances were made for.
     switch: Option<Switch>,
-    near: f64,
+}
+
+/// The renderer's model on its adapter.
+struct OnGpu<'a> {
+    gpu: &'a Gpu,
+    renderer: &'a mut Renderer,
+}
+
+impl Adapter for OnGpu<'_> {
+    fn upload(&mut self, chunk: ChunkId, data: &Loaded) -> bool {
+        let model = &mut self.renderer.model;
+        match data {
+            Loaded::Geometry(data) => model.upload(self.gpu, chunk, chunk_data(data)).is_ok(),
+            Loaded::Texture(bytes) => model.upload_texture(self.gpu, chunk, bytes).is_ok(),
+            Loaded::Unread => unreachable!("what is drawn was read"),
+        }
+    }
+
+    fn free(&mut self, chunk: ChunkId) {
+        self.renderer.model.free(chunk);
+    }
 }
 
 impl Stage {
     /// Decodes the coarsest level, makes all buffers, starts the loader threads. Fails when a coarsest chunk is
     /// damaged, because nothing could stand in for it, and when a bound is too small.
     pub fn new(gpu: &Gpu, model: Arc<Model>, bounds: Bounds, picture: PictureFormat) -> Result<Self> {
-        let tables = ModelTables {
-            model: model.record(),
-            clusters: model.clusters(),
-            levels: model.level_records(),
-            neighbours: model.neighbour_entries(),
-            textures: model.textures(),
-        };
+        let tables = model_tables(&model);
         let coarse =
             CoarseChunks::read(&model).context("the coarsest level cannot be read, so nothing can be drawn")?;
         let data: Vec<ChunkData> = coarse.chunks.iter().map(chunk_data).collect();
         let tails: Vec<&[u8]> = coarse.tails.iter().map(|t| &**t).collect();
         let coarse = Coarse { chunks: &data, tails: &tails };
         let renderer = Renderer::new(gpu, &tables, &coarse, bounds.vram_bytes, picture)?;
-        let mut chunk_bytes = tables.chunk_vram_bytes();
-        let coarse_bytes: u64 =
-            chunk_bytes.iter().skip(model.levels() as usize - 1).step_by(model.levels() as usize).sum();
         let (texture_bytes, texture_costs) = renderer.model.texture_costs();
-        chunk_bytes.extend(texture_costs);
-        let selector = Selector::new(&SelectTables {
-            model: model.record(),
-            clusters: model.clusters(),
-            levels: model.level_records(),
-            neighbours: model.neighbour_entries(),
-            nodes: model.nodes(),
-            textures: model.textures(),
-            chunk_bytes: &chunk_bytes,
-        });
-        let heap_bytes = renderer.model.chunk_budget_bytes();
-        let limits = Limits::new(bounds.ram_bytes, [heap_bytes, texture_bytes]);
-        let cache = Recorded::new(chunk_infos(&model, &chunk_bytes), limits)?;
-        let chunks = chunk_bytes.len();
-        let s = subject(model.record(), glam::DVec3::Y);
-        Ok(Self {
-            renderer,
-            selector,
-            cache,
-            feed: Feed::new(model.clone()),
-            decoded: vec![None; chunks],
-            resident: vec![false; chunks],
-            always_resident: (0..chunks as u32).filter(|&c| model.always_resident(ChunkId(c))).collect(),
-            budgets: [coarse_bytes + heap_bytes, texture_bytes],
-            max_triangles: bounds.max_triangles,
-            plan: Plan::default(),
-            expected: Expected { around: true, ..Expected::default() },
-            clock: 0.0,
-            asked_at: BTreeMap::new(),
-            latency: Latency::default(),
-            meter: Meter::new(chunks),
-            switch: None,
-            near: s.radius * 2.0 * NEAR,
-            model,
-        })
-    }
-
-    /// The camera of a moment.
-    pub fn camera(&self, key: &Keyframe) -> Camera {
-        Camera { eye: key.eye, target: key.target, up: key.up, fov_deg: key.fov_deg, near: self.near }
+        let mut chunks = tables.chunk_vram_bytes();
+        chunks.extend(texture_costs);
+        let costs = VramCosts { chunks, budgets: [renderer.model.chunk_budget_bytes(), texture_bytes] };
+        let streaming = Streaming::new(model.clone(), &costs, bounds, Feed::new(model))?;
+        Ok(Self { streaming, renderer, switch: None })
     }
 
     /// One frame: what is here is drawn, what is wanted is asked for.
-    pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
-        self.clock += moment.dt_secs as f64;
-        self.meter.begin_frame();
-        for (chunk, result) in self.feed.take(moment.dt_secs) {
-            self.accept(chunk, result);
-        }
-        self.step(gpu, moment, moment.dt_secs);
+    pub fn advance(&mut self, gpu: &Gpu, moment: &Moment) {
+        self.streaming.advance(&mut OnGpu { gpu, renderer: &mut self.renderer }, moment);
         self.set_distances(gpu, moment);
-        Ok(())
     }
 
     /// One frame that waits until all that is wanted and fits is here, and floors stand still.
     pub fn settle(&mut self, gpu: &Gpu, moment: &Moment) -> Result<()> {
-        self.meter.begin_frame();
-        for _ in 0..MAX_SETTLE_ROUNDS {
-            let before = std::mem::take(&mut self.plan);
-            self.step(gpu, moment, f32::INFINITY);
-            let still = before.floors == self.plan.floors && before.detail == self.plan.detail;
-            if self.cache.is_idle() && still {
-                self.set_distances(gpu, moment);
-                return Ok(());
-            }
-            for (chunk, result) in self.feed.drain() {
-                self.accept(chunk, result);
-            }
-        }
-        anyhow::bail!("the view did not settle in {MAX_SETTLE_ROUNDS} rounds; raise --vram or --ram")
-    }
-
-    /// Selects, and carries out what the cache says.
-    fn step(&mut self, gpu: &Gpu, moment: &Moment, dt_secs: f32) {
-        let start = Instant::now();
-        self.mark_resident();
-        let views = |keys: &[Keyframe]| keys.iter().map(|k| self.camera(k).view(moment.size)).collect::<Vec<View>>();
-        let (soon, later) = (views(&self.expected.soon), views(&self.expected.later));
-        let frame = Frame {
-            views: &[self.view(moment)],
-            resident: &self.resident,
-            retiring: self.cache.retiring(),
-            detail: moment.detail,
-            vram_budget_bytes: self.budgets[0],
-            texture_budget_bytes: self.budgets[1],
-            max_triangles: self.max_triangles,
-            prefetch: Prefetch { around: self.expected.around, soon: &soon, later: &later },
-            dt_secs,
-        };
-        self.plan = self.selector.select(&frame);
-        let wants: Vec<pb_stream::Want> =
-            self.plan.wants.iter().filter(|w| !self.model.always_resident(w.chunk)).map(stream_want).collect();
-        let released: Vec<pb_stream::ChunkId> = self.plan.released.iter().map(|c| pb_stream::ChunkId(c.0)).collect();
-        let commands = self.cache.frame(&wants, &released);
-        let decided = Instant::now();
-        self.meter_wants();
-        for command in commands {
-            self.carry_out(gpu, command);
-        }
-        self.feed.reorder(&self.plan.wants);
-        self.meter.step(start, decided);
-    }
-
-    fn meter_wants(&mut self) {
-        let (model, cache, resident) = (&self.model, &self.cache, &self.resident);
-        self.meter.wants(&self.plan.wants, |chunk| {
-            let there = resident[chunk.0 as usize] || cache.in_ram(pb_stream::ChunkId(chunk.0));
-            there.then(|| stored_bytes(model, chunk))
-        });
-    }
-
-    fn carry_out(&mut self, gpu: &Gpu, command: Command) {
-        match command {
-            Command::Load(chunk) => {
-                self.asked_at.insert(chunk, self.clock);
-                self.meter.asked(ChunkId(chunk.0));
-                self.feed.request(chunk);
-            }
-            Command::DropRam(chunk) => self.decoded[chunk.0 as usize] = None,
-            Command::Free(chunk) => self.renderer.model.free(ChunkId(chunk.0)),
-            // Selection reads these from the cache's flags in the next frame.
-            Command::Retire(_) | Command::Keep(_) => {}
-            Command::Upload(chunk) => {
-                let data = self.decoded[chunk.0 as usize].as_ref().expect("the cache uploads what is in RAM");
-                let (model, id) = (&mut self.renderer.model, ChunkId(chunk.0));
-                let there = match data {
-                    Loaded::Geometry(data) => model.upload(gpu, id, chunk_data(data)).is_ok(),
-                    Loaded::Texture(bytes) => model.upload_texture(gpu, id, bytes).is_ok(),
-                };
-                match there {
-                    true => {
-                        self.meter.uploaded(self.model.decoded_bytes(id) as u64);
-                        self.cache.uploaded(chunk);
-                    }
-                    false => self.cache.upload_failed(chunk),
-                }
-            }
-        }
-    }
-
-    /// From now on chunks arrive exactly this many frames after they were asked for; 0 is as soon as they are here.
-    pub fn set_late_frames(&mut self, frames: u32) {
-        self.feed.set_late_frames(frames);
-    }
-
-    /// From now on chunks come from a slow disk.
-    pub fn set_disk(&mut self, model: DiskModel, clock: DiskClock) {
-        self.feed.set_disk(model, clock);
-    }
-
-    /// From now on all that happens to the cache is written down, for a replay.
-    pub fn record_cache(&mut self, path: &Path) -> Result<()> {
-        let file = std::fs::File::create(path).with_context(|| format!("{}: cannot write the run", path.display()))?;
-        self.cache.record(Box::new(std::io::BufWriter::new(file)));
+        self.streaming.settle(&mut OnGpu { gpu, renderer: &mut self.renderer }, moment)?;
+        self.set_distances(gpu, moment);
         Ok(())
-    }
-
-    /// Writes what is still buffered of the recorded run; fails if any of it could not be written.
-    pub fn finish_recording(&mut self) -> Result<()> {
-        self.cache.finish_recording().context("the run of the cache cannot be written")
-    }
-
-    /// What was read from the file since the start.
-    pub fn load_stats(&self) -> LoadStats {
-        self.feed.stats()
-    }
-
-    /// From now on loads what these cameras will show.
-    pub fn expect(&mut self, expected: Expected) {
-        self.expected = expected;
-    }
-
-    /// How long loads take.
-    pub fn latency(&self) -> &Latency {
-        &self.latency
-    }
-
-    fn accept(&mut self, chunk: pb_stream::ChunkId, result: LoadResult<Loaded>) {
-        if let Some(asked_at) = self.asked_at.remove(&chunk) {
-            self.latency.add(self.clock - asked_at);
-        }
-        match result {
-            Ok(data) => {
-                self.decoded[chunk.0 as usize] = Some(data);
-                let id = ChunkId(chunk.0);
-                self.meter.read(id, stored_bytes(&self.model, id));
-                self.cache.loaded(chunk);
-            }
-            Err(error) => {
-                let (cluster, level) = self.model.chunk_place(ChunkId(chunk.0));
-                let (id, coarser) = (chunk.0, level + 1);
-                eprintln!("pb-view: warning: {error}; without chunk {id} cluster {cluster} stays at level {coarser}");
-                self.cache.load_failed(chunk);
-            }
-        }
-    }
-
-    fn mark_resident(&mut self) {
-        self.resident.copy_from_slice(self.cache.resident());
-        for &chunk in &self.always_resident {
-            self.resident[chunk as usize] = true;
-        }
-    }
-
-    fn view(&self, moment: &Moment) -> View {
-        self.camera(&moment.key).view(moment.size)
     }
 
     /// Brings the adapter's switch distances up to the plan's detail.
     fn set_distances(&mut self, gpu: &Gpu, moment: &Moment) {
-        let detail = self.plan.detail.unwrap_or(moment.detail);
-        let angle = self.camera(&moment.key).pixel_angle(moment.size);
-        let switch = Switch::new(detail, angle, self.model.record().quantum);
+        let detail = self.streaming.detail(moment);
+        let angle = self.streaming.camera(&moment.key).pixel_angle(moment.size);
+        let switch = Switch::new(detail, angle, self.model().record().quantum);
         if self.switch != Some(switch) {
-            self.renderer.set_distances(gpu, self.selector.distances(&switch));
+            self.renderer.set_distances(gpu, self.streaming.selector().distances(&switch));
             self.switch = Some(switch);
         }
     }
 
+    /// The open archive.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.streaming.model
+    }
+
     /// Draws the last step's plan.
     pub fn draw(&self, gpu: &Gpu, surface: &Surface, moment: &Moment, style: Style) {
-        let camera = self.camera(&moment.key);
-        let eye = grid_eye(self.model.record(), camera.eye);
-        self.renderer.draw(gpu, surface, &Scene { plan: &self.plan, camera: &camera, eye, style });
-    }
-
-    /// The surface of the last step, for export.
-    pub fn shown(&self, moment: &Moment) -> ShownFrame<'_> {
-        ShownFrame {
-            model: &self.model,
-            selector: &self.selector,
-            view: self.view(moment),
-            detail: self.plan.detail.unwrap_or(moment.detail),
-            eye: grid_eye(self.model.record(), moment.key.eye),
-        }
-    }
-
-    /// True when the next frame from the same place would look the same.
-    pub fn settled(&self) -> bool {
-        self.cache.is_idle() && (self.plan.settled || self.cache.stats().failed > 0)
+        let camera = self.streaming.camera(&moment.key);
+        let eye = grid_eye(self.model().record(), camera.eye);
+        self.renderer.draw(gpu, surface, &Scene { plan: self.streaming.plan(), camera: &camera, eye, style });
     }
 
     /// Numbers of the last step.
     pub fn stats(&self) -> FrameStats {
-        let coarse_draws = self.plan.coarse.len() as u32;
-        let now = self.plan.wants.iter().take_while(|w| w.class == Class::Now);
-        let absent = |w: &&Want| !self.resident[w.chunk.0 as usize];
-        let (tau, k) = match self.plan.detail {
-            Some(Detail::ErrorPx(tau)) => (tau, 0.0),
-            Some(Detail::Bands { k, .. }) => (0.0, k),
-            None => (0.0, 0.0),
-        };
-        FrameStats {
-            triangles: self.plan.triangles,
-            draws: self.plan.draws.len() as u32 + coarse_draws,
-            vram_bytes: self.renderer.model.vram_bytes(),
-            ram_bytes: self.cache.stats().ram_bytes,
-            missing_chunks: self.plan.missing_chunks,
-            error_px: self.plan.error_px,
-            coarse_draws,
-            allowed_error_px: tau,
-            band_k: k,
-            texture_vram_bytes: self.renderer.model.texture_vram_bytes(),
-            wanted_chunks: now.clone().count() as u32,
-            missing_textures: now.filter(absent).filter(|w| self.model.is_texture(w.chunk)).count() as u32,
-            fading: !self.plan.floors_stand,
-            loads_in_flight: self.cache.stats().loads_in_flight,
-            traffic: self.meter.traffic(),
-            times: self.meter.times(),
-        }
+        let model = &self.renderer.model;
+        let (vram_bytes, texture_vram_bytes) = (model.vram_bytes(), model.texture_vram_bytes());
+        FrameStats { vram_bytes, texture_vram_bytes, ..self.streaming.stats() }
     }
-
-    /// Chunks that could not be read.
-    pub fn damaged_chunks(&self) -> u32 {
-        self.cache.stats().failed
-    }
-}
-
-fn stored_bytes(model: &Model, chunk: ChunkId) -> u64 {
-    model.archive().chunks()[chunk.0 as usize].stored_bytes as u64
-}
-
-/// The cache's view of the chunks: those that are always there are outside of it.
-pub(crate) fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> {
-    let info = |(chunk, &bytes): (u32, &u64)| {
-        let id = ChunkId(chunk);
-        let (always, texture) = (model.always_resident(id), model.is_texture(id));
-        let in_ram = if texture { model.decoded_bytes(id) } else { u32::try_from(bytes).unwrap_or(u32::MAX) };
-        ChunkInfo {
-            ram_bytes: if always { 0 } else { in_ram },
-            vram_bytes: if always { 0 } else { bytes.min(NEVER_FITS) },
-            pool: texture as usize,
-            coarser: model.needs(id).map(|c| pb_stream::ChunkId(c.0)),
-            pinned: false,
-        }
-    };
-    (0..).zip(chunk_bytes).map(info).collect()
-}
-
-pub(crate) fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
-    let class = match want.class {
-        Class::Maybe => pb_stream::Class::Maybe,
-        Class::Soon => pb_stream::Class::Soon,
-        Class::Now => pb_stream::Class::Now,
-    };
-    pb_stream::Want { chunk: pb_stream::ChunkId(want.chunk.0), class, error_px: want.error_px }
 }

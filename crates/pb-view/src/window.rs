@@ -21,7 +21,8 @@ use crate::overlay::Overlay;
 use crate::prefetch::Prefetcher;
 use crate::screen::{Next, Screen};
 use crate::size::show_bytes;
-use crate::stage::{Moment, Stage, open_model, subject};
+use crate::stage::Stage;
+use crate::streaming::{Moment, open_model, subject};
 
 /// Vertical field of view by hand, degrees.
 const FOV_DEG: f64 = 50.0;
@@ -145,7 +146,7 @@ impl Shown {
         let subject = subject(model.record(), args.up.vector());
         let mut stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;
         if let Some(disk) = args.disk_model {
-            stage.set_disk(disk, DiskClock::Wall);
+            stage.streaming.feed.set_disk(disk, DiskClock::Wall);
         }
         let mut navigator = Navigator::new(subject, FOV_DEG);
         navigator.fit(screen.aspect());
@@ -325,8 +326,9 @@ impl Shown {
         let size = self.screen.canvas.size;
         let moment = Moment { key, size, detail: self.detail, dt_secs: dt_secs as f32 };
         let flight = self.playing.as_ref().map(|p| (&p.flight, p.t_secs));
-        self.stage.expect(self.prefetcher.expect(&key, dt_secs, flight, self.stage.latency()));
-        self.stage.advance(&self.gpu, &moment)?;
+        let streaming = &mut self.stage.streaming;
+        streaming.expect(self.prefetcher.expect(&key, dt_secs, flight, streaming.latency()));
+        self.stage.advance(&self.gpu, &moment);
         let color = picture.texture.create_view(&Default::default());
         let surface = Surface { color: &color, canvas: &self.screen.canvas };
         self.stage.draw(&self.gpu, &surface, &moment, self.style);
@@ -336,7 +338,7 @@ impl Shown {
         self.gpu.queue.present(picture);
         let moving = self.push != Push { fast: self.push.fast, ..Push::default() };
         let flying = self.playing.as_ref().is_some_and(|p| !p.paused);
-        if moving || flying || !self.stage.settled() {
+        if moving || flying || !self.stage.streaming.settled() {
             self.window.request_redraw();
         }
         Ok(())
@@ -400,6 +402,6 @@ impl Shown {
             let flight = Flypath::new(60.0, keys).map_err(|e| anyhow::anyhow!("the path flown is no flypath: {e}"))?;
             flight.write(path)?;
         }
-        Ok(if self.stage.damaged_chunks() == 0 { Outcome::Done } else { Outcome::Damaged })
+        Ok(if self.stage.streaming.damaged_chunks() == 0 { Outcome::Done } else { Outcome::Damaged })
     }
 }

@@ -21,14 +21,13 @@ mod thumbs;
 
 use anyhow::{Context, Result, bail};
 use pb_lod::progressive_buffers::model::Model;
-use pb_render::Gpu;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::args::Args;
+use crate::flyer::Flyer;
 use crate::flypath::Flypath;
-use crate::stage::Stage;
 use crate::stats::{Line, Table};
 use runs::{AdapterFacts, ArchiveFacts, Bounds, Facts, OtherRun, RunFacts};
 use summary::Summary;
@@ -91,28 +90,22 @@ pub fn prepare(args: &Args) -> Result<Option<Prepared>> {
 
 impl Prepared {
     /// The report of a flight that is about to begin.
-    pub fn begin(self, args: &Args, gpu: &Gpu, stage: &Stage, flight: &Flypath) -> Report {
+    pub fn begin(self, args: &Args, flyer: &Flyer, flight: &Flypath) -> Report {
         let Self { html, json, label, others } = self;
-        let facts = facts(label, args, gpu, stage, flight);
+        let facts = facts(label, args, flyer, flight);
         let thumbs = Thumbs::new(flight, args.format);
         Report { html, json, facts, others, table: Table::new(), thumbs }
     }
 }
 
-fn facts(label: String, args: &Args, gpu: &Gpu, stage: &Stage, flight: &Flypath) -> Facts {
-    let info = gpu.adapter.get_info();
-    let plan = stage.renderer.model.plan();
+fn facts(label: String, args: &Args, flyer: &Flyer, flight: &Flypath) -> Facts {
+    let plan = flyer.vram_plan();
     Facts {
         label,
         program: format!("pb-view {}", env!("CARGO_PKG_VERSION")),
         command: std::env::args().collect(),
-        archive: archive_facts(&stage.model),
-        adapter: AdapterFacts {
-            name: info.name,
-            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
-            backend: info.backend.to_string(),
-            software: gpu.software(),
-        },
+        archive: archive_facts(&flyer.streaming().model),
+        adapter: adapter_facts(flyer),
         run: RunFacts {
             width: args.size[0],
             height: args.size[1],
@@ -128,6 +121,18 @@ fn facts(label: String, args: &Args, gpu: &Gpu, stage: &Stage, flight: &Flypath)
             ram_bytes: args.ram,
             max_triangles: args.max_triangles,
         },
+    }
+}
+
+/// No adapter has no name.
+fn adapter_facts(flyer: &Flyer) -> AdapterFacts {
+    let Some(gpu) = flyer.gpu() else { return AdapterFacts::default() };
+    let info = gpu.adapter.get_info();
+    AdapterFacts {
+        name: info.name,
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        backend: info.backend.to_string(),
+        software: gpu.software(),
     }
 }
 

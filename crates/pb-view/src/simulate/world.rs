@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use super::random::Random;
 use super::scene::SimScene;
-use crate::stage::stream_want;
+use crate::streaming::stream_want;
 
 /// Frame time of all flights.
 const DT_SECS: f32 = 1.0 / 30.0;

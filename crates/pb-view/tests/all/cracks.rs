@@ -6,7 +6,7 @@ use crate::support::{adapter, camera, column, folder, pb_view, read_frame, scan,
 use pb_lod::progressive_buffers::model::Model;
 use pb_render::{BACKGROUND_SRGB, Samples};
 use pb_view::flypath::Flypath;
-use pb_view::stage::subject;
+use pb_view::streaming::subject;
 use std::path::Path;
 
 const SIZE: [u32; 2] = [480, 360];

@@ -2,7 +2,7 @@
 
 use crate::support::{Run, adapter, column, folder, pb_view_line, small_torus, text, torus, write_flight};
 use pb_view::feed::{DiskClock, Feed};
-use pb_view::stage::open_model;
+use pb_view::streaming::open_model;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
