@@ -28,16 +28,17 @@ pub struct Limits {
     pub ram_bytes: u64,
     /// Chunks in VRAM and on their way there, by pool.
     pub vram_bytes: [u64; POOLS],
-    /// Most loads that are asked for and not answered.
+    /// Most loads that are asked for and not answered. Many, because neighbours in the file are read together only where
+    /// both are asked for; what is not wanted any more is [withdrawn](Cache::load_withdrawn).
     pub loads_in_flight: u32,
     /// Most bytes that one frame begins to upload (at least one chunk, though).
     pub upload_bytes_per_frame: u64,
 }
 
 impl Limits {
-    /// Loads enough for a disk queue and a few threads; uploads that keep a frame short.
+    /// Loads enough to read whole views in few pieces; uploads that keep a frame short.
     pub fn new(ram_bytes: u64, vram_bytes: [u64; POOLS]) -> Self {
-        Self { ram_bytes, vram_bytes, loads_in_flight: 64, upload_bytes_per_frame: 32 << 20 }
+        Self { ram_bytes, vram_bytes, loads_in_flight: 4096, upload_bytes_per_frame: 32 << 20 }
     }
 }
 
@@ -214,6 +215,12 @@ impl Cache {
         self.set_ram(chunk, Ram::Loading, Ram::Absent);
         self.failed[chunk.0 as usize] = true;
         self.stats.failed += 1;
+    }
+
+    /// The chunk was asked for and will not be read: it was not wanted any more.
+    pub fn load_withdrawn(&mut self, chunk: ChunkId) {
+        self.idle = false;
+        self.set_ram(chunk, Ram::Loading, Ram::Absent);
     }
 
     /// The chunk is in VRAM and may be drawn.

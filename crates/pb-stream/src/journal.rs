@@ -41,6 +41,7 @@ enum Event {
     Frame { wants: Vec<Want>, released: Vec<ChunkId>, commands: Vec<Command> },
     Loaded(ChunkId),
     LoadFailed(ChunkId),
+    LoadWithdrawn(ChunkId),
     Uploaded(ChunkId),
     UploadFailed(ChunkId),
 }
@@ -101,6 +102,12 @@ impl Recorded {
     pub fn load_failed(&mut self, chunk: ChunkId) {
         self.write(&Event::LoadFailed(chunk));
         self.cache.load_failed(chunk);
+    }
+
+    /// As [`Cache::load_withdrawn`].
+    pub fn load_withdrawn(&mut self, chunk: ChunkId) {
+        self.write(&Event::LoadWithdrawn(chunk));
+        self.cache.load_withdrawn(chunk);
     }
 
     /// As [`Cache::uploaded`].
@@ -204,6 +211,7 @@ pub fn replay(file: impl BufRead) -> Result<Replayed, ReplayError> {
             }
             Event::Loaded(chunk) => cache.loaded(chunk),
             Event::LoadFailed(chunk) => cache.load_failed(chunk),
+            Event::LoadWithdrawn(chunk) => cache.load_withdrawn(chunk),
             Event::Uploaded(chunk) => cache.uploaded(chunk),
             Event::UploadFailed(chunk) => cache.upload_failed(chunk),
         }

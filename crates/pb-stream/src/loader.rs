@@ -1,7 +1,7 @@
 //! Threads that read and decode chunks while the frame goes on.
 //!
-//! Requests are served in the order in which they were made, or of the ranks that they were given since, and neighbours in the file are read together
-//! ([`merge`](crate::merge)); results come back over a channel. Some threads read, others decode, so that the disk does
+//! Requests are served in the order in which they were made, or of the ranks that they were given since, and neighbours
+//! in the file are read together ([`merge`](crate::merge)); results come back over a channel. Some threads read, others decode, so that the disk does
 //! not wait for the processor. What fails is tried again, by itself and behind the others. A panic of the source is an
 //! error of that chunk, not of the program.
 
@@ -16,8 +16,8 @@ use std::thread::JoinHandle;
 
 /// Most threads of a kind of one loader.
 pub const MAX_THREADS: usize = 64;
-/// Most requests that wait; the cache's `loads_in_flight` keeps far below.
-pub const MAX_QUEUE: usize = 4096;
+/// Most requests that wait: more than a cache asks for at a time.
+pub const MAX_QUEUE: usize = 1 << 16;
 /// When so many bytes are being read or wait to be decoded, no further read begins.
 pub const MAX_HELD_BYTES: u64 = 8 << 20;
 /// How often a chunk that failed is tried again.
@@ -214,9 +214,12 @@ impl<S: Source> Loader<S> {
         Ok(())
     }
 
-    /// Gives each chunk that waits a new rank; the lowest is read first.
-    pub fn reorder(&self, rank: impl Fn(ChunkId) -> u64) {
-        self.queue.lock().waiting.reorder(|ticket| rank(ticket.chunk));
+    /// Gives each chunk that waits a new rank, of which the lowest is read first. Those without are not read; they come
+    /// back here, and nowhere else.
+    pub fn reorder(&mut self, rank: impl Fn(ChunkId) -> Option<u64>) -> Vec<ChunkId> {
+        let withdrawn = self.queue.lock().waiting.reorder(|ticket| rank(ticket.chunk));
+        self.outstanding -= withdrawn.len();
+        withdrawn.into_iter().map(|ticket| ticket.chunk).collect()
     }
 
     /// Where chunks come from.

@@ -1,9 +1,11 @@
 //! Requests that wait for the disk, and which of them one read serves.
 //!
-//! The most urgent request is always served next, and of those that are alike the oldest; requests for bytes beside its own are taken along, because a second visit
-//! would cost a second latency. Must never: read past what was asked for; let a read grow without bound.
+//! The most urgent request is always served next, and of those that are alike the oldest; requests for bytes beside its
+//! own are taken along, because a second visit would cost a second latency. Must never: read past what was asked for;
+//! let a read grow without bound.
 
-use std::collections::BTreeMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
 use std::ops::Bound::{Excluded, Unbounded};
 
 /// Most unwanted bytes between two chunks of one read: about what a solid state disk reads in the time of a request.
@@ -59,8 +61,8 @@ pub struct Batch<T> {
 #[derive(Clone, Debug)]
 pub struct Waiting<T> {
     pushed: u64,
-    /// By urgency, then by order of asking: where it begins.
-    order: BTreeMap<(u64, u64), u64>,
+    /// Urgency, order of asking, where it begins; also of requests that were served meanwhile, as neighbours.
+    order: BinaryHeap<Reverse<(u64, u64, u64)>>,
     /// By where it begins, then order.
     places: BTreeMap<(u64, u64), Request<T>>,
 }
@@ -75,47 +77,63 @@ struct Request<T> {
 
 impl<T> Default for Waiting<T> {
     fn default() -> Self {
-        Self { pushed: 0, order: BTreeMap::new(), places: BTreeMap::new() }
+        Self { pushed: 0, order: BinaryHeap::new(), places: BTreeMap::new() }
     }
 }
 
 impl<T> Waiting<T> {
     /// A request, behind all others that are as urgent as can be.
     pub fn push(&mut self, extent: Extent, company: Company, tag: T) {
-        self.order.insert((0, self.pushed), extent.offset);
+        self.order.push(Reverse((0, self.pushed, extent.offset)));
         self.places.insert((extent.offset, self.pushed), Request { extent, company, rank: 0, tag });
         self.pushed += 1;
     }
 
-    /// Gives each request that waits a new rank; the lowest is served first.
-    pub fn reorder(&mut self, rank: impl Fn(&T) -> u64) {
-        self.order.clear();
-        for (&(offset, number), request) in &mut self.places {
-            request.rank = rank(&request.tag);
-            self.order.insert((request.rank, number), offset);
-        }
+    /// Gives each request that waits a new rank, of which the lowest is served first; those without are taken out, and
+    /// come back in the order of the file.
+    pub fn reorder(&mut self, rank: impl Fn(&T) -> Option<u64>) -> Vec<T> {
+        let unwanted = self.places.iter_mut().filter_map(|(key, request)| match rank(&request.tag) {
+            Some(rank) => {
+                request.rank = rank;
+                None
+            }
+            None => Some(*key),
+        });
+        let unwanted: Vec<(u64, u64)> = unwanted.collect();
+        let out = unwanted.iter().filter_map(|key| self.places.remove(key)).map(|r| r.tag).collect();
+        let order = self.places.iter().map(|(&(offset, number), request)| Reverse((request.rank, number, offset)));
+        self.order = order.collect();
+        out
     }
 
     /// Requests that wait.
     pub fn len(&self) -> usize {
-        self.order.len()
+        self.places.len()
     }
 
     /// True when none waits.
     pub fn is_empty(&self) -> bool {
-        self.order.is_empty()
+        self.places.is_empty()
     }
 
     /// What the next `count` requests will read, in order.
     pub fn ahead(&self, count: usize) -> Vec<Extent> {
-        let first = self.order.iter().take(count);
-        first.map(|(&(_, number), &offset)| self.places[&(offset, number)].extent).collect()
+        let mut order = self.order.clone();
+        let next = std::iter::from_fn(|| order.pop());
+        next.filter_map(|Reverse((_, number, offset))| self.places.get(&(offset, number)))
+            .map(|r| r.extent)
+            .take(count)
+            .collect()
     }
 
     /// Takes the most urgent request, and those that one read with it serves.
     pub fn take(&mut self) -> Option<Batch<T>> {
-        let (&(_, number), &offset) = self.order.first_key_value()?;
-        let first = &self.places[&(offset, number)];
+        let (number, offset, first) = loop {
+            let Reverse((_, number, offset)) = self.order.pop()?;
+            if let Some(first) = self.places.get(&(offset, number)) {
+                break (number, offset, first);
+            }
+        };
         let (mut extent, company) = (first.extent, first.company);
         let mut keys = vec![(offset, number)];
         if company == Company::Any {
@@ -127,9 +145,6 @@ impl<T> Waiting<T> {
         let mut requests: Vec<(u64, Request<T>)> =
             keys.iter().map(|key| (key.1, self.places.remove(key).expect("the key was found above"))).collect();
         requests.sort_unstable_by_key(|(number, r)| (r.rank, *number));
-        for (number, request) in &requests {
-            self.order.remove(&(request.rank, *number));
-        }
         Some(Batch { extent, parts: requests.into_iter().map(|(_, r)| (r.extent, r.tag)).collect() })
     }
 }
@@ -195,13 +210,21 @@ mod tests {
     #[test]
     fn the_most_urgent_is_served_first() {
         let mut all = waiting(&[(0, 10), (9_000_000, 10), (5_000_000, 10), (10, 10)]);
-        all.reorder(|&i| [7, 3, 3, 1][i]);
+        assert_eq!(all.reorder(|&i| Some([7, 3, 3, 1][i])), [0; 0]);
         all.push(Extent { offset: 7_000_000, bytes: 1 }, Company::Any, 4);
         assert_eq!(
             all.ahead(2),
             [7_000_000, 10].map(|offset| Extent { offset, bytes: if offset == 10 { 10 } else { 1 } })
         );
         assert_eq!(served(all), [vec![4], vec![3, 0], vec![1], vec![2]]);
+    }
+
+    #[test]
+    fn what_is_not_wanted_any_more_is_not_read() {
+        let mut all = waiting(&[(0, 10), (10, 10), (20, 10), (9_000_000, 10)]);
+        assert_eq!(all.reorder(|&i| (i != 1 && i != 3).then_some(5)), [1, 3]);
+        assert_eq!((all.len(), all.ahead(9).len()), (2, 2));
+        assert_eq!(served(all), [vec![0, 2]]);
     }
 
     proptest! {

@@ -12,7 +12,7 @@ use pb_stream::loader::{LoadResult, LoadStats, Loader, Source, Threads};
 use pb_stream::merge::Extent;
 use rayon::prelude::*;
 use std::borrow::Cow;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -188,25 +188,38 @@ impl Feed {
         }
     }
 
-    /// What is under way is read in the order of these wants, most urgent first; what is not among them, last.
-    pub fn reorder(&mut self, wants: &[Want]) {
-        let loading = self.loader.as_ref().is_none_or(|l| l.outstanding() > 0);
-        if !loading && self.early.is_empty() {
-            return;
-        }
+    /// What is under way is read in the order of these wants, most urgent first. What is not among them and was not begun
+    /// to be read is not read; it comes back here.
+    pub fn reorder(&mut self, wants: &[Want]) -> Vec<pb_stream::ChunkId> {
         self.frame += 1;
         for (place, want) in (0..).zip(wants) {
             self.ranks[want.chunk.0 as usize] = (self.frame, place);
         }
         let (ranks, frame) = (&self.ranks, self.frame);
         let rank = |chunk: pb_stream::ChunkId| match ranks[chunk.0 as usize] {
-            (wanted, place) if wanted == frame => place.into(),
-            _ => u64::MAX,
+            (wanted, place) if wanted == frame => Some(place.into()),
+            _ => None,
         };
-        match &mut self.pace {
-            Pace::Disk(disk) => disk.reorder(rank),
-            _ => self.loader.iter().for_each(|l| l.reorder(rank)),
+        match (&mut self.pace, &mut self.loader) {
+            (Pace::AsTheyCome, Some(loader)) => loader.reorder(rank),
+            (Pace::Disk(disk), _) => {
+                let withdrawn = disk.reorder(rank);
+                self.forget(&withdrawn);
+                withdrawn
+            }
+            // All is read before the next frame.
+            (Pace::Late(..) | Pace::AsTheyCome, _) => Vec::new(),
         }
+    }
+
+    /// The slow disk will not read these; the loader does not have to either, unless it was quicker.
+    fn forget(&mut self, chunks: &[pb_stream::ChunkId]) {
+        let Some(loader) = &mut self.loader else { return };
+        let mut all: BTreeSet<pb_stream::ChunkId> = chunks.iter().copied().collect();
+        for chunk in loader.reorder(|c| (!all.contains(&c)).then_some(0)) {
+            all.remove(&chunk);
+        }
+        all.into_iter().for_each(|chunk| drop(self.wait_for(chunk)));
     }
 
     /// What arrives in this frame, `dt_secs` after the last one.

@@ -104,6 +104,11 @@ impl Meter {
         *load = if needed { Load::Settled } else { Load::Ahead };
     }
 
+    /// A chunk that was asked for will not be read.
+    pub fn withdrawn(&mut self, chunk: ChunkId) {
+        self.loads[chunk.0 as usize] = Load::Settled;
+    }
+
     /// A chunk of so many decoded bytes went to the adapter.
     pub fn uploaded(&mut self, bytes: u64) {
         self.traffic.upload_bytes += bytes;

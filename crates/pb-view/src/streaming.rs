@@ -236,7 +236,11 @@ impl Streaming {
         for command in commands {
             self.carry_out(adapter, command);
         }
-        self.feed.reorder(&self.plan.wants);
+        for chunk in self.feed.reorder(&self.plan.wants) {
+            self.asked_at.remove(&chunk);
+            self.meter.withdrawn(ChunkId(chunk.0));
+            self.cache.load_withdrawn(chunk);
+        }
         self.meter.step(start, decided);
     }
 

@@ -10,6 +10,7 @@ use pb_stream::ChunkId;
 use pb_stream::cache::{Command, Limits, POOLS};
 use pb_stream::disk::Disk;
 use pb_stream::journal::{Recorded, replay};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -36,6 +37,7 @@ pub struct Tally {
     pub frames: u64,
     pub loads: u64,
     pub failures: u64,
+    pub withdrawn: u64,
     pub uploads: u64,
     pub refused: u64,
     pub retired: u64,
@@ -56,6 +58,7 @@ impl Tally {
         self.frames += o.frames;
         self.loads += o.loads;
         self.failures += o.failures;
+        self.withdrawn += o.withdrawn;
         self.uploads += o.uploads;
         self.refused += o.refused;
         self.retired += o.retired;
@@ -69,7 +72,7 @@ impl Tally {
     pub fn report(&self, wall_secs: f64) -> String {
         format!(
             "{:.2} hours of flying in {wall_secs:.0} s: {} scenes, {} flights, {} frames\n\
-             {} loads, {} of them failed; {} uploads, {} of them refused; {} asked back, {} freed; {} commands replayed; \
+             {} loads, {} of them failed, {} withdrawn; {} uploads, {} of them refused; {} asked back, {} freed; {} commands replayed; \
              VRAM at most {:.1} % full; rest after at most {} frames",
             self.secs / 3600.0,
             self.scenes,
@@ -77,6 +80,7 @@ impl Tally {
             self.frames,
             self.loads,
             self.failures,
+            self.withdrawn,
             self.uploads,
             self.refused,
             self.retired,
@@ -150,7 +154,7 @@ impl<'a> World<'a> {
         let pools = bytes.map(|b| part(b, random));
         let ram = part(bytes.iter().sum(), random).max(largest);
         let limits = Limits {
-            loads_in_flight: random.whole(1, 65),
+            loads_in_flight: random.magnitude(1.0, 4096.0) as u32,
             upload_bytes_per_frame: random.magnitude(1e3, 3e7) as u64,
             ..Limits::new(ram, pools)
         };
@@ -274,8 +278,13 @@ impl<'a> World<'a> {
             self.obey(command, &mut begun)?;
             self.check_bounds()?;
         }
-        let place = |chunk: ChunkId| wants.iter().position(|w| w.chunk == chunk).map_or(u64::MAX, |p| p as u64);
-        self.disk.reorder(place);
+        let places: BTreeMap<ChunkId, u64> = wants.iter().map(|w| w.chunk).zip(0..).collect();
+        for chunk in self.disk.reorder(|chunk| places.get(&chunk).copied()) {
+            self.places[chunk.0 as usize].loading = false;
+            self.ram_bytes -= self.bytes(chunk);
+            self.cache.load_withdrawn(chunk);
+            self.tally.withdrawn += 1;
+        }
         let bytes: u64 = begun.iter().map(|c: &ChunkId| self.bytes(*c)).sum();
         let bound = self.cache.limits().upload_bytes_per_frame;
         ensure!(
