@@ -18,7 +18,7 @@ use std::cmp::Ordering;
 
 pub use tables::SelectTables;
 
-use self::budget::{DetailControl, Target};
+use self::budget::{Conditions, DetailControl, Target};
 use self::floors::Floors;
 use self::tables::{Ladder, Tables};
 use self::walk::{Eyes, Place, Seen, Walk, walk};
@@ -98,7 +98,12 @@ impl Selector {
         let finest = DetailControl::finest(&self.controls, frame.detail);
         let margin = if frame.prefetch.around { MAYBE_MARGIN } else { 1.0 };
         let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), margin);
-        let [(target, now), (texture_target, texels)] = targets(t, &mut self.controls, &self.floors, &walk, frame);
+        let soon = (!frame.prefetch.soon.is_empty()).then(|| {
+            let views = [frame.views, frame.prefetch.soon].concat();
+            self::walk::walk(t, &Eyes::new(&views, frame.detail, t), &Switch::new(finest, 1.0, t.quantum), 1.0)
+        });
+        let walks = Walks { now: &walk, soon: soon.as_ref().unwrap_or(&walk) };
+        let [(target, now), (texture_target, texels)] = targets(t, &mut self.controls, &self.floors, &walks, frame);
         let drawn = Switch::new(now, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now), ..Plan::default() };
@@ -110,9 +115,15 @@ impl Selector {
         }
         self.draw(&walk, &eyes, &drawn, &mut plan);
         let targets = [&target, &texture_target];
-        self.want(&walk, targets, frame, &mut plan);
-        self.want_ahead(frame.prefetch.soon, Class::Soon, targets, frame, &mut plan);
-        self.want_ahead(frame.prefetch.later, Class::Maybe, targets, frame, &mut plan);
+        self.want(&walk, targets, [now, texels], frame, &mut plan);
+        if let Some(soon) = &soon {
+            self.want_ahead(soon, Class::Soon, targets, frame, &mut plan);
+        }
+        if !frame.prefetch.later.is_empty() {
+            let eyes = Eyes::new(frame.prefetch.later, frame.detail, t);
+            let later = self::walk::walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), 1.0);
+            self.want_ahead(&later, Class::Maybe, targets, frame, &mut plan);
+        }
         self.order_wants(frame, &mut plan);
         plan.floors = self.floors.all().to_vec();
         plan.floors_stand = floors_stand;
@@ -146,14 +157,20 @@ impl Selector {
         plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
     }
 
-    /// Chunks that the views of this frame want; a target each for geometry and textures.
-    fn want(&self, walk: &Walk, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        self.want_seen(walk, targets, frame, plan, |seen, coarsest, level| {
+    /// Chunks that the views of this frame want: for the detail that is drawn, and soon for that of the target. A target
+    /// and a drawn detail each for geometry and textures.
+    fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [Detail; 2], frame: &Frame, plan: &mut Plan) {
+        self.want_seen(walk, targets, frame, plan, |seen, ladder, coarsest, level| {
+            let now = |ladder: Ladder| {
+                let t = &self.tables;
+                let switch = Switch::new(drawn[ladder as usize], 1.0, t.quantum);
+                level(1.0).max(t.ladder_lod(ladder, &switch, seen.cluster, seen.reach) as u32)
+            };
             Some(match (seen.place, frame.prefetch.around) {
-                (Place::Visible, true) => [level(1.0), level(SOON_MARGIN), level(MAYBE_MARGIN)],
+                (Place::Visible, true) => [now(ladder), level(SOON_MARGIN), level(MAYBE_MARGIN)],
                 (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
                 (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
-                (Place::Visible, false) => [level(1.0); 3],
+                (Place::Visible, false) => [now(ladder), level(1.0), level(1.0)],
                 (_, false) if walk.touches_visible(&self.tables, seen.cluster) => [coarsest, level(1.0), level(1.0)],
                 (_, false) => return None,
             })
@@ -161,16 +178,9 @@ impl Selector {
     }
 
     /// Chunks that cameras to come will draw, of class Soon or Maybe.
-    fn want_ahead(&self, views: &[View], class: Class, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        if views.is_empty() {
-            return;
-        }
-        let t = &self.tables;
-        let eyes = Eyes::new(views, frame.detail, t);
-        let finest = DetailControl::finest(&self.controls, frame.detail);
-        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), 1.0);
-        self.want_seen(&walk, targets, frame, plan, |seen, coarsest, level| {
-            let drawn = seen.place == Place::Visible || walk.touches_visible(t, seen.cluster);
+    fn want_ahead(&self, walk: &Walk, class: Class, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
+        self.want_seen(walk, targets, frame, plan, |seen, _, coarsest, level| {
+            let drawn = seen.place == Place::Visible || walk.touches_visible(&self.tables, seen.cluster);
             let soon = if class == Class::Soon { level(1.0) } else { coarsest };
             drawn.then(|| [coarsest, soon, level(1.0)])
         });
@@ -184,7 +194,7 @@ impl Selector {
         targets: [&Target; 2],
         frame: &Frame,
         plan: &mut Plan,
-        levels: impl Fn(&Seen, u32, &dyn Fn(f32) -> u32) -> Option<[u32; 3]>,
+        levels: impl Fn(&Seen, Ladder, u32, &dyn Fn(f32) -> u32) -> Option<[u32; 3]>,
     ) {
         let t = &self.tables;
         for (ladder, target) in t.ladders().zip(targets) {
@@ -192,7 +202,7 @@ impl Selector {
             for seen in &walk.seen {
                 let reach = seen.reach.max(seen.girth * target.nearest);
                 let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
-                if let Some(levels) = levels(seen, t.coarsest(ladder, seen.cluster), &level) {
+                if let Some(levels) = levels(seen, ladder, t.coarsest(ladder, seen.cluster), &level) {
                     self.want_cluster(ladder, seen, levels, frame, plan);
                 }
             }
@@ -264,12 +274,18 @@ fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64
     always.saturating_add(finer.fold(0, u64::saturating_add))
 }
 
+/// What is seen now, and what is seen now or soon.
+struct Walks<'a> {
+    now: &'a Walk,
+    soon: &'a Walk,
+}
+
 /// For geometry and textures: what the budgets allow, and the detail of this frame on its way there.
 fn targets(
     t: &Tables,
     controls: &mut [DetailControl; 2],
     floors: &Floors,
-    walk: &Walk,
+    walks: &Walks,
     frame: &Frame,
 ) -> [(Target, Detail); 2] {
     let kept_free = |budget: u64, all: u64| match frame.prefetch.is_off() || budget >= all {
@@ -278,14 +294,38 @@ fn targets(
     };
     let room = kept_free(frame.vram_budget_bytes, t.all_bytes[0]);
     let texture_room = kept_free(frame.texture_budget_bytes, t.all_bytes[1]);
-    let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walk, x) <= frame.max_triangles;
-    let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, walk, x) <= room && few(x);
-    let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, walk, x) <= texture_room;
+    let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walks.now, x) <= frame.max_triangles;
+    let may_be_drawn = |detail| few(&Target { detail, nearest: 0.0 });
     let [geometry, textures] = controls;
     [
-        geometry.step(frame, fits, |detail| few(&Target { detail, nearest: 0.0 })),
-        textures.step(frame, texels_fit, |_| true),
+        geometry.step(
+            frame,
+            &Conditions {
+                fits: &|x| bytes_wanted(t, Ladder::Geometry, walks.soon, x) <= room && few(x),
+                is_there: &|x| is_there(t, Ladder::Geometry, walks.now, x, frame),
+                may_be_drawn: &may_be_drawn,
+            },
+        ),
+        textures.step(
+            frame,
+            &Conditions {
+                fits: &|x| !t.has_textures() || bytes_wanted(t, Ladder::Texture, walks.soon, x) <= texture_room,
+                is_there: &|x| !t.has_textures() || is_there(t, Ladder::Texture, walks.now, x, frame),
+                may_be_drawn: &|_| true,
+            },
+        ),
     ]
+}
+
+/// Whether all chunks that are drawn at a target are resident.
+fn is_there(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target, frame: &Frame) -> bool {
+    let switch = Switch::new(target.detail, 1.0, t.quantum);
+    walk.seen.iter().filter(|s| s.place == Place::Visible).all(|s| {
+        let reach = s.reach.max(s.girth * target.nearest);
+        let level = t.ladder_lod(ladder, &switch, s.cluster, reach) as u32;
+        // Coarser ones are resident with it (I5).
+        level >= t.coarsest(ladder, s.cluster) || frame.resident[t.chunk(ladder, s.cluster, level).0 as usize]
+    })
 }
 
 /// Triangles that are drawn at a target.

@@ -1,5 +1,9 @@
 //! The detail that fits a byte budget (design section 4, control): the target is found afresh from the view in
 //! each frame, the detail in use moves towards it slowly, so that a tight budget never makes a jump.
+//!
+//! It gets finer only where the data for that is there (paper section 4.4: detail grows as long as the resources allow it),
+//! so that a slow disk shows as a detail that rises slowly, evenly over the picture, and not as patches. Data that never
+//! comes (damaged chunks) holds it up for [`PATIENCE_SECS`] per step at most.
 
 use crate::plan::{Detail, Frame};
 
@@ -9,6 +13,11 @@ const STEP: f64 = 1.05;
 const RUNGS: i32 = 400;
 /// The detail in use changes by at most this factor per second: 3 % at 60 frames per second.
 const RATE_PER_SEC: f64 = 5.9;
+/// The same while the first detail is reached: as fast as floors let data fade in, a level (about 4 times the error) per
+/// 0.3 s.
+const FIRST_RATE_PER_SEC: f64 = 100.0;
+/// A step to the next rung waits this long for its data, seconds.
+const PATIENCE_SECS: f32 = 1.0;
 
 /// What chunks are wanted for.
 pub(super) struct Target {
@@ -31,6 +40,20 @@ impl Target {
 pub(super) struct DetailControl {
     last: Option<(Detail, f64)>,
     settled: bool,
+    /// The target was reached once.
+    arrived: bool,
+    /// How long the next step has waited for data, seconds.
+    waited_secs: f32,
+}
+
+/// What a detail must be good for.
+pub(super) struct Conditions<'a> {
+    /// Its bytes and triangles are within the bounds.
+    pub fits: &'a dyn Fn(&Target) -> bool,
+    /// What it draws is resident.
+    pub is_there: &'a dyn Fn(&Target) -> bool,
+    /// It may be drawn in this very frame.
+    pub may_be_drawn: &'a dyn Fn(Detail) -> bool,
 }
 
 impl DetailControl {
@@ -39,30 +62,51 @@ impl DetailControl {
         coarsened(asked, controls.iter().map(|c| c.start(asked)).fold(1.0, f64::min))
     }
 
-    /// The finest target on the ladder that `fits`, and the detail to use in this frame: on its way there, but at once as
-    /// coarse as `may_be_drawn` asks for.
-    pub fn step(
-        &mut self,
-        frame: &Frame,
-        fits: impl Fn(&Target) -> bool,
-        may_be_drawn: impl Fn(Detail) -> bool,
-    ) -> (Target, Detail) {
-        let target = STEP.powi(first_that(RUNGS, |rung| fits(&Target::new(frame.detail, STEP.powi(rung)))));
-        let reach = RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64);
-        let start = self.start(frame.detail);
-        let gain = match self.last {
-            Some(_) => target.clamp(start / reach, start * reach),
-            None => target,
-        };
-        let gain = match may_be_drawn(coarsened(frame.detail, gain)) {
+    /// The finest target on the ladder that `fits`, and the detail to use in this frame: on its way there, no finer than
+    /// what `is_there`, but at once as coarse as `may_be_drawn` asks for.
+    pub fn step(&mut self, frame: &Frame, conditions: &Conditions) -> (Target, Detail) {
+        let at = |gain: f64| Target::new(frame.detail, gain);
+        let target = STEP.powi(first_that(RUNGS, |rung| (conditions.fits)(&at(STEP.powi(rung)))));
+        let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
+        let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(coarsened(frame.detail, gain));
+        let gain = match may_be_drawn(gain) {
             true => gain,
-            false => {
-                gain * STEP.powi(first_that(RUNGS, |r| may_be_drawn(coarsened(frame.detail, gain * STEP.powi(r)))))
-            }
+            false => gain * STEP.powi(first_that(RUNGS, |rung| may_be_drawn(gain * STEP.powi(rung)))),
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
+        self.arrived |= gain <= target;
         (Target::new(frame.detail, target), coarsened(frame.detail, gain))
+    }
+
+    /// The gain of this frame, between that of the last one and the target.
+    fn towards(&mut self, target: f64, frame: &Frame, is_there: impl Fn(f64) -> bool) -> f64 {
+        let dt_secs = frame.dt_secs.max(0.0);
+        if dt_secs == f32::INFINITY {
+            return target;
+        }
+        let Some(_) = self.last else {
+            return target * STEP.powi(first_that(RUNGS, |rung| is_there(target * STEP.powi(rung))));
+        };
+        let start = self.start(frame.detail);
+        let rate = if self.arrived { RATE_PER_SEC } else { FIRST_RATE_PER_SEC };
+        if target >= start {
+            self.waited_secs = 0.0;
+            return target.min(start * RATE_PER_SEC.powf(dt_secs.into()));
+        }
+        let finest = target.max(start / rate.powf(dt_secs.into()));
+        let next = target.max(start / STEP);
+        self.waited_secs += dt_secs;
+        match () {
+            _ if is_there(finest) => self.waited_secs = 0.0,
+            _ if self.waited_secs > PATIENCE_SECS => return finest.max(next),
+            _ if next > finest && is_there(next) => {
+                self.waited_secs = 0.0;
+                return next;
+            }
+            _ => return start,
+        }
+        finest
     }
 
     /// True when the detail in use is the one that the budget allows.
