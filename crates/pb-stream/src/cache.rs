@@ -29,7 +29,7 @@ pub struct Limits {
     /// Chunks in VRAM and on their way there, by pool.
     pub vram_bytes: [u64; POOLS],
     /// Most loads that are asked for and not answered. Many, because neighbours in the file are read together only where
-    /// both are asked for; what is not wanted any more is [withdrawn](Cache::load_withdrawn).
+    /// both are asked for; what is less urgent than what would come in its stead is [withdrawn](Command::Withdraw).
     pub loads_in_flight: u32,
     /// Most bytes that one frame begins to upload (at least one chunk, though).
     pub upload_bytes_per_frame: u64,
@@ -83,6 +83,9 @@ pub enum LimitsError {
 pub enum Command {
     /// Read and decode from disk; answer with [`Cache::loaded`] or [`Cache::load_failed`].
     Load(ChunkId),
+    /// Give up a load, if it was not begun; answer with [`Cache::load_withdrawn`], or, if it was, as to [`Command::Load`].
+    /// May be said again while there is no answer.
+    Withdraw(ChunkId),
     /// Copy from RAM to VRAM; answer with [`Cache::uploaded`] or [`Cache::upload_failed`].
     Upload(ChunkId),
     /// Forget the copy in RAM.
@@ -120,6 +123,8 @@ pub struct Cache {
     ram: Vec<Ram>,
     vram: Vec<Vram>,
     failed: Vec<bool>,
+    /// Loads that were asked for; those that were answered since are still among them.
+    loading: Vec<ChunkId>,
     /// Frame in which a chunk was last wanted.
     last_wanted: Vec<u64>,
     /// Per chunk: finer chunks that are in VRAM in any state.
@@ -172,6 +177,7 @@ impl Cache {
             ram: vec![Ram::Absent; n],
             vram: vec![Vram::Absent; n],
             failed: vec![false; n],
+            loading: Vec::new(),
             last_wanted: vec![0; n],
             finer_in_vram: vec![0; n],
             finer_staying: vec![0; n],
@@ -195,6 +201,7 @@ impl Cache {
         self.keep_and_free(&goals, released, &mut commands);
         self.retire(&goals, &mut commands);
         self.upload(&goals, &mut commands);
+        self.withdraw(&goals, &mut commands);
         self.load(&goals, &mut commands);
         self.lost_bytes = self.lost_bytes.map(|lost| lost - lost.div_ceil(64));
         let s = &self.stats;
@@ -217,7 +224,7 @@ impl Cache {
         self.stats.failed += 1;
     }
 
-    /// The chunk was asked for and will not be read: it was not wanted any more.
+    /// The chunk was asked for and will not be read, as [`Command::Withdraw`] said.
     pub fn load_withdrawn(&mut self, chunk: ChunkId) {
         self.idle = false;
         self.set_ram(chunk, Ram::Loading, Ram::Absent);

@@ -76,10 +76,14 @@ impl Disk {
         self.waiting.push(extent, Company::Any, chunk);
     }
 
-    /// Gives each chunk that waits a new rank, of which the lowest is read first. Those without are not read; they come
-    /// back here, and nowhere else.
-    pub fn reorder(&mut self, rank: impl Fn(ChunkId) -> Option<u64>) -> Vec<ChunkId> {
-        self.waiting.reorder(|&chunk| rank(chunk))
+    /// Gives each chunk that waits a new rank; the lowest is read first.
+    pub fn reorder(&mut self, rank: impl Fn(ChunkId) -> u64) {
+        self.waiting.reorder(|&chunk| rank(chunk));
+    }
+
+    /// Takes chunks out that are not to be read, where that was not begun. They come back here, and nowhere else.
+    pub fn withdraw(&mut self, unwanted: impl Fn(ChunkId) -> bool) -> Vec<ChunkId> {
+        self.waiting.withdraw(|&chunk| unwanted(chunk))
     }
 
     /// Reads that were begun, and their bytes.
@@ -189,7 +193,7 @@ mod tests {
         let mut disk = disk("10,10");
         ask(&mut disk, [0, 1, 2, 3]);
         assert_eq!(disk.advance(ms(5)), []);
-        disk.reorder(|c| Some(u64::from(10 - c.0)));
+        disk.reorder(|c| u64::from(10 - c.0));
         assert_eq!(disk.advance(ms(100)), [0, 3, 2, 1].map(ChunkId), "the first was being read already");
     }
 

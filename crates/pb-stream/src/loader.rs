@@ -214,10 +214,14 @@ impl<S: Source> Loader<S> {
         Ok(())
     }
 
-    /// Gives each chunk that waits a new rank, of which the lowest is read first. Those without are not read; they come
-    /// back here, and nowhere else.
-    pub fn reorder(&mut self, rank: impl Fn(ChunkId) -> Option<u64>) -> Vec<ChunkId> {
-        let withdrawn = self.queue.lock().waiting.reorder(|ticket| rank(ticket.chunk));
+    /// Gives each chunk that waits a new rank; the lowest is read first.
+    pub fn reorder(&self, rank: impl Fn(ChunkId) -> u64) {
+        self.queue.lock().waiting.reorder(|ticket| rank(ticket.chunk));
+    }
+
+    /// Takes chunks out that are not to be read, where that was not begun. They come back here, and nowhere else.
+    pub fn withdraw(&mut self, unwanted: impl Fn(ChunkId) -> bool) -> Vec<ChunkId> {
+        let withdrawn = self.queue.lock().waiting.withdraw(|ticket| unwanted(ticket.chunk));
         self.outstanding -= withdrawn.len();
         withdrawn.into_iter().map(|ticket| ticket.chunk).collect()
     }

@@ -89,21 +89,20 @@ impl<T> Waiting<T> {
         self.pushed += 1;
     }
 
-    /// Gives each request that waits a new rank, of which the lowest is served first; those without are taken out, and
-    /// come back in the order of the file.
-    pub fn reorder(&mut self, rank: impl Fn(&T) -> Option<u64>) -> Vec<T> {
-        let unwanted = self.places.iter_mut().filter_map(|(key, request)| match rank(&request.tag) {
-            Some(rank) => {
-                request.rank = rank;
-                None
-            }
-            None => Some(*key),
+    /// Gives each request that waits a new rank; the lowest is served first.
+    pub fn reorder(&mut self, rank: impl Fn(&T) -> u64) {
+        let order = self.places.iter_mut().map(|(&(offset, number), request)| {
+            request.rank = rank(&request.tag);
+            Reverse((request.rank, number, offset))
         });
-        let unwanted: Vec<(u64, u64)> = unwanted.collect();
-        let out = unwanted.iter().filter_map(|key| self.places.remove(key)).map(|r| r.tag).collect();
-        let order = self.places.iter().map(|(&(offset, number), request)| Reverse((request.rank, number, offset)));
         self.order = order.collect();
-        out
+    }
+
+    /// Takes requests out that are not to be served; in the order of the file.
+    pub fn withdraw(&mut self, unwanted: impl Fn(&T) -> bool) -> Vec<T> {
+        let keys = self.places.iter().filter(|(_, request)| unwanted(&request.tag)).map(|(key, _)| *key);
+        let keys: Vec<(u64, u64)> = keys.collect();
+        keys.iter().filter_map(|key| self.places.remove(key)).map(|r| r.tag).collect()
     }
 
     /// Requests that wait.
@@ -210,7 +209,7 @@ mod tests {
     #[test]
     fn the_most_urgent_is_served_first() {
         let mut all = waiting(&[(0, 10), (9_000_000, 10), (5_000_000, 10), (10, 10)]);
-        assert_eq!(all.reorder(|&i| Some([7, 3, 3, 1][i])), [0; 0]);
+        all.reorder(|&i| [7, 3, 3, 1][i]);
         all.push(Extent { offset: 7_000_000, bytes: 1 }, Company::Any, 4);
         assert_eq!(
             all.ahead(2),
@@ -222,7 +221,7 @@ mod tests {
     #[test]
     fn what_is_not_wanted_any_more_is_not_read() {
         let mut all = waiting(&[(0, 10), (10, 10), (20, 10), (9_000_000, 10)]);
-        assert_eq!(all.reorder(|&i| (i != 1 && i != 3).then_some(5)), [1, 3]);
+        assert_eq!(all.withdraw(|&i| i == 1 || i == 3), [1, 3]);
         assert_eq!((all.len(), all.ahead(9).len()), (2, 2));
         assert_eq!(served(all), [vec![0, 2]]);
     }

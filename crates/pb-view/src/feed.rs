@@ -188,25 +188,37 @@ impl Feed {
         }
     }
 
-    /// What is under way is read in the order of these wants, most urgent first. What is not among them and was not begun
-    /// to be read is not read; it comes back here.
-    pub fn reorder(&mut self, wants: &[Want]) -> Vec<pb_stream::ChunkId> {
+    /// What is under way is read in the order of these wants, most urgent first; what is not among them, last.
+    pub fn reorder(&mut self, wants: &[Want]) {
+        if self.loader.as_ref().is_some_and(|l| l.outstanding() == 0) && self.early.is_empty() {
+            return;
+        }
         self.frame += 1;
         for (place, want) in (0..).zip(wants) {
             self.ranks[want.chunk.0 as usize] = (self.frame, place);
         }
         let (ranks, frame) = (&self.ranks, self.frame);
         let rank = |chunk: pb_stream::ChunkId| match ranks[chunk.0 as usize] {
-            (wanted, place) if wanted == frame => Some(place.into()),
-            _ => None,
+            (wanted, place) if wanted == frame => place.into(),
+            _ => u64::MAX,
         };
+        match &mut self.pace {
+            Pace::Disk(disk) => disk.reorder(rank),
+            _ => self.loader.iter().for_each(|l| l.reorder(rank)),
+        }
+    }
+
+    /// These are not to be read, where that was not begun. They come back here, and nowhere else.
+    pub fn withdraw(&mut self, chunks: &BTreeSet<pb_stream::ChunkId>) -> Vec<pb_stream::ChunkId> {
+        let unwanted = |chunk| chunks.contains(&chunk);
         match (&mut self.pace, &mut self.loader) {
-            (Pace::AsTheyCome, Some(loader)) => loader.reorder(rank),
+            _ if chunks.is_empty() => Vec::new(),
             (Pace::Disk(disk), _) => {
-                let withdrawn = disk.reorder(rank);
+                let withdrawn = disk.withdraw(unwanted);
                 self.forget(&withdrawn);
                 withdrawn
             }
+            (Pace::AsTheyCome, Some(loader)) => loader.withdraw(unwanted),
             // All is read before the next frame.
             (Pace::Late(..) | Pace::AsTheyCome, _) => Vec::new(),
         }
@@ -216,7 +228,7 @@ impl Feed {
     fn forget(&mut self, chunks: &[pb_stream::ChunkId]) {
         let Some(loader) = &mut self.loader else { return };
         let mut all: BTreeSet<pb_stream::ChunkId> = chunks.iter().copied().collect();
-        for chunk in loader.reorder(|c| (!all.contains(&c)).then_some(0)) {
+        for chunk in loader.withdraw(|c| all.contains(&c)) {
             all.remove(&chunk);
         }
         all.into_iter().for_each(|chunk| drop(self.wait_for(chunk)));

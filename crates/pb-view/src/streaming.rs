@@ -13,7 +13,7 @@ use pb_render::{Camera, ModelTables, grid_eye};
 use pb_stream::cache::{ChunkInfo, Command, Limits};
 use pb_stream::journal::Recorded;
 use pb_stream::loader::{LoadResult, LoadStats};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -233,10 +233,15 @@ impl Streaming {
         let commands = self.cache.frame(&wants, &released);
         let decided = Instant::now();
         self.meter_wants();
+        let mut unwanted = BTreeSet::new();
         for command in commands {
-            self.carry_out(adapter, command);
+            match command {
+                Command::Withdraw(chunk) => drop(unwanted.insert(chunk)),
+                _ => self.carry_out(adapter, command),
+            }
         }
-        for chunk in self.feed.reorder(&self.plan.wants) {
+        self.feed.reorder(&self.plan.wants);
+        for chunk in self.feed.withdraw(&unwanted) {
             self.asked_at.remove(&chunk);
             self.meter.withdrawn(ChunkId(chunk.0));
             self.cache.load_withdrawn(chunk);
@@ -263,6 +268,7 @@ impl Streaming {
             Command::Free(chunk) => adapter.free(ChunkId(chunk.0)),
             // Selection reads these from the cache's flags in the next frame.
             Command::Retire(_) | Command::Keep(_) => {}
+            Command::Withdraw(_) => unreachable!("carried out together"),
             Command::Upload(chunk) => {
                 let data = self.decoded[chunk.0 as usize].as_ref().expect("the cache uploads what is in RAM");
                 let id = ChunkId(chunk.0);

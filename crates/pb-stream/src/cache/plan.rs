@@ -73,15 +73,17 @@ impl Cache {
         }
     }
 
-    /// What has to pass through RAM: first what VRAM lacks, then all else that is wanted and not in VRAM.
+    /// What has to pass through RAM: first what VRAM lacks, then all else that is wanted and not in VRAM; of what is not
+    /// there yet no more than may be in flight.
     fn add_ram(&self, wants: &[Want], goals: &mut Goals) {
-        let mut room = self.limits.ram_bytes;
+        let (mut room, mut loads) = (self.limits.ram_bytes, self.limits.loads_in_flight);
         let candidates: Vec<ChunkId> = goals.vram.iter().copied().chain(wants.iter().map(|w| w.chunk)).collect();
         for chunk in candidates {
             let place = chunk.0 as usize;
             let needed = matches!(self.vram[place], Vram::Absent | Vram::Uploading) && !self.failed[place];
-            if needed && !goals.in_ram[place] && self.ram_size(chunk) <= room {
-                room -= self.ram_size(chunk);
+            let load = (self.ram[place] != Ram::Loaded) as u32;
+            if needed && !goals.in_ram[place] && self.ram_size(chunk) <= room && load <= loads {
+                (room, loads) = (room - self.ram_size(chunk), loads - load);
                 goals.in_ram[place] = true;
                 goals.ram.push(chunk);
             }
@@ -217,6 +219,13 @@ impl Cache {
         }
     }
 
+    /// Loads that are under way and have no place in RAM any more.
+    pub(super) fn withdraw(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
+        self.loading.retain(|c| self.ram[c.0 as usize] == Ram::Loading);
+        let unwanted = self.loading.iter().filter(|c| !goals.in_ram[c.0 as usize]);
+        commands.extend(unwanted.map(|&c| Command::Withdraw(c)));
+    }
+
     /// Begins loads in order of priority, dropping from RAM what is not wanted there, longest unused first.
     pub(super) fn load(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
         let absent = |c: &&ChunkId| self.ram[c.0 as usize] == Ram::Absent;
@@ -233,6 +242,7 @@ impl Cache {
                 commands.push(Command::DropRam(victim));
             }
             self.set_ram(chunk, Ram::Absent, Ram::Loading);
+            self.loading.push(chunk);
             commands.push(Command::Load(chunk));
         }
     }

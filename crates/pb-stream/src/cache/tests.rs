@@ -83,6 +83,14 @@ impl World {
                 assert!(!self.cache.has_failed(c), "{c:?} is asked for again");
                 self.loading.push(c);
             }
+            Command::Withdraw(c) => {
+                assert!(self.loading.contains(&c));
+                // Those of odd numbers are being read.
+                if c.0.is_multiple_of(2) {
+                    self.loading.retain(|&k| k != c);
+                    self.cache.load_withdrawn(c);
+                }
+            }
             Command::Upload(c) => {
                 assert!(self.in_ram[c.0 as usize] && !self.in_vram[c.0 as usize]);
                 let coarser = self.cache.info[c.0 as usize].coarser;
@@ -190,6 +198,23 @@ fn any_step(chunks: u32) -> impl Strategy<Value = Step> {
         3 => any::<u8>().prop_map(Step::Load),
         3 => (any::<u8>(), prop::bool::weighted(0.9)).prop_map(|(i, works)| Step::Upload(i, works)),
     ]
+}
+
+#[test]
+fn loads_that_nobody_waits_for_make_way() {
+    let mut world = World::new(chains(6, 1), limits(10_000, 10_000));
+    let early: Vec<Want> = (0..3).map(|c| want(c, Class::Soon, 1.0)).collect();
+    let load = |chunks: [u32; 3]| chunks.map(|c| Command::Load(ChunkId(c)));
+    assert_eq!(world.frame(&early, &[]), load([0, 1, 2]));
+    let late: Vec<Want> = (3..6).map(|c| want(c, Class::Now, 1.0)).collect();
+    let all = [early, late].concat();
+    // Chunk 1 is being read already.
+    let told = world.frame(&all, &[]);
+    assert_eq!(told, [0, 1, 2].map(|c| Command::Withdraw(ChunkId(c))));
+    assert_eq!(world.frame(&all, &[])[1..], [3, 4].map(|c| Command::Load(ChunkId(c))));
+    world.finish_load(0);
+    assert_eq!(world.cache.stats().loads_in_flight, 2);
+    assert!(world.frame(&all, &[]).contains(&Command::Load(ChunkId(5))));
 }
 
 proptest! {

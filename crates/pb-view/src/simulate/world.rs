@@ -10,7 +10,7 @@ use pb_stream::ChunkId;
 use pb_stream::cache::{Command, Limits, POOLS};
 use pb_stream::disk::Disk;
 use pb_stream::journal::{Recorded, replay};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -274,12 +274,17 @@ impl<'a> World<'a> {
         let wants: Vec<pb_stream::Want> = wants.map(stream_want).collect();
         let released: Vec<ChunkId> = plan.released.iter().map(|c| ChunkId(c.0)).collect();
         let mut begun = Vec::new();
+        let mut unwanted = BTreeSet::new();
         for command in self.cache.frame(&wants, &released) {
+            if let Command::Withdraw(chunk) = command {
+                unwanted.insert(chunk);
+            }
             self.obey(command, &mut begun)?;
             self.check_bounds()?;
         }
         let places: BTreeMap<ChunkId, u64> = wants.iter().map(|w| w.chunk).zip(0..).collect();
-        for chunk in self.disk.reorder(|chunk| places.get(&chunk).copied()) {
+        self.disk.reorder(|chunk| places.get(&chunk).copied().unwrap_or(u64::MAX));
+        for chunk in self.disk.withdraw(|chunk| unwanted.contains(&chunk)) {
             self.places[chunk.0 as usize].loading = false;
             self.ram_bytes -= self.bytes(chunk);
             self.cache.load_withdrawn(chunk);
@@ -341,6 +346,7 @@ impl<'a> World<'a> {
     /// Carries a command out, if it may be.
     fn obey(&mut self, command: Command, begun: &mut Vec<ChunkId>) -> Result<()> {
         let (Command::Load(chunk)
+        | Command::Withdraw(chunk)
         | Command::Upload(chunk)
         | Command::DropRam(chunk)
         | Command::Retire(chunk)
@@ -357,6 +363,7 @@ impl<'a> World<'a> {
                 self.disk.ask(chunk, self.scene.extents[at]);
                 self.tally.loads += 1;
             }
+            Command::Withdraw(_) => ensure!(was.loading, "{command:?} of what is not under way"),
             Command::Upload(_) => {
                 let coarser = self.scene.coarser(at);
                 ensure!(was.in_ram && !was.uploading && !was.in_vram, "{command:?} of what is not in RAM, or twice");
