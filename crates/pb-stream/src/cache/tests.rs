@@ -202,7 +202,8 @@ fn any_step(chunks: u32) -> impl Strategy<Value = Step> {
 
 #[test]
 fn loads_that_nobody_waits_for_make_way() {
-    let mut world = World::new(chains(6, 1), limits(10_000, 10_000));
+    let info = chains(6, 1).into_iter().map(|i| ChunkInfo { pinned: false, ..i }).collect();
+    let mut world = World::new(info, limits(10_000, 10_000));
     let early: Vec<Want> = (0..3).map(|c| want(c, Class::Soon, 1.0)).collect();
     let load = |chunks: [u32; 3]| chunks.map(|c| Command::Load(ChunkId(c)));
     assert_eq!(world.frame(&early, &[]), load([0, 1, 2]));

@@ -16,6 +16,9 @@ const RATE_PER_SEC: f64 = 5.9;
 /// The same while the first detail is reached: as fast as floors let data fade in, a level (about 4 times the error) per
 /// 0.3 s.
 const FIRST_RATE_PER_SEC: f64 = 100.0;
+/// The detail in use gets finer when what this many times smaller an error needs is there too: the camera moves on while
+/// the rest is read.
+const LEAD: f64 = 1.25;
 /// A step to the next rung waits this long for its data, seconds.
 const PATIENCE_SECS: f32 = 1.0;
 
@@ -85,6 +88,7 @@ impl DetailControl {
         if dt_secs == f32::INFINITY {
             return target;
         }
+        let is_there = |gain: f64| is_there(target.max(gain / LEAD));
         let Some(_) = self.last else {
             return target * STEP.powi(first_that(RUNGS, |rung| is_there(target * STEP.powi(rung))));
         };
@@ -97,16 +101,14 @@ impl DetailControl {
         let finest = target.max(start / rate.powf(dt_secs.into()));
         let next = target.max(start / STEP);
         self.waited_secs += dt_secs;
-        match () {
-            _ if is_there(finest) => self.waited_secs = 0.0,
-            _ if self.waited_secs > PATIENCE_SECS => return finest.max(next),
-            _ if next > finest && is_there(next) => {
-                self.waited_secs = 0.0;
-                return next;
-            }
+        let gain = match () {
+            _ if is_there(finest) => finest,
+            _ if next > finest && is_there(next) => next,
+            _ if self.waited_secs > PATIENCE_SECS => finest.max(next),
             _ => return start,
-        }
-        finest
+        };
+        self.waited_secs = 0.0;
+        gain
     }
 
     /// True when the detail in use is the one that the budget allows.
