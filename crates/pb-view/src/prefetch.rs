@@ -84,7 +84,7 @@ impl Motion {
         let at = |share: f64| self.after(key, horizon * share);
         match still {
             true => Expected { around: true, ..Expected::default() },
-            false => Expected { around: true, soon: vec![at(0.5), at(1.0)], later: vec![at(2.0)] },
+            false => Expected { around: false, soon: vec![at(0.5), at(1.0)], later: vec![at(2.0)] },
         }
     }
 

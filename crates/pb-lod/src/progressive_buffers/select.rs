@@ -171,7 +171,7 @@ impl Selector {
                 (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
                 (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
                 (Place::Visible, false) => [now(ladder), level(1.0), level(1.0)],
-                (_, false) if walk.touches_visible(&self.tables, seen.cluster) => [coarsest, level(1.0), level(1.0)],
+                (_, false) if seen.shows => [coarsest, level(1.0), level(1.0)],
                 (_, false) => return None,
             })
         });
@@ -180,9 +180,8 @@ impl Selector {
     /// Chunks that cameras to come will draw, of class Soon or Maybe.
     fn want_ahead(&self, walk: &Walk, class: Class, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
         self.want_seen(walk, targets, frame, plan, |seen, _, coarsest, level| {
-            let drawn = seen.place == Place::Visible || walk.touches_visible(&self.tables, seen.cluster);
             let soon = if class == Class::Soon { level(1.0) } else { coarsest };
-            drawn.then(|| [coarsest, soon, level(1.0)])
+            seen.shows.then(|| [coarsest, soon, level(1.0)])
         });
     }
 
@@ -262,11 +261,11 @@ fn compare_wants(a: &Want, b: &Want) -> Ordering {
     b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
 }
 
-/// Bytes in VRAM if every visible cluster is resident at the level that the target asks for, with the coarse buffer and
+/// Bytes in VRAM if every cluster that shows is resident at the level that the target asks for, with the coarse buffer and
 /// without the tails of textures.
 fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
-    let finer = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
+    let finer = walk.seen.iter().filter(|s| s.shows).map(|s| {
         let reach = s.reach.max(s.girth * target.nearest);
         t.bytes_above_coarsest(ladder, s.cluster, t.ladder_lod(ladder, &switch, s.cluster, reach) as u32)
     });

@@ -30,6 +30,8 @@ pub(super) enum Place {
 pub(super) struct Seen {
     pub cluster: u32,
     pub place: Place,
+    /// It is visible, or its floor moves a border with one that is, and so triangles that are seen.
+    pub shows: bool,
     /// Comparable with switch distances; see [`Eyes::reach`].
     pub reach: f32,
     /// Its radius as a reach.
@@ -162,21 +164,20 @@ pub(super) fn walk(t: &Tables, eyes: &Eyes, switch: &Switch, margin: f32) -> Wal
             _ => clusters.for_each(|c| out.see(t, eyes, c)),
         }
     }
+    let visible = &out.visible;
+    for seen in out.seen.iter_mut().filter(|s| !s.shows) {
+        seen.shows = t.neighbours(seen.cluster).iter().any(|&c| visible[c as usize]);
+    }
     out
 }
 
 impl Walk {
-    /// True next to a visible cluster: its floor moves their common border, and so triangles that are seen.
-    pub fn touches_visible(&self, t: &Tables, cluster: u32) -> bool {
-        t.neighbours(cluster).iter().any(|&c| self.visible[c as usize])
-    }
-
     fn see(&mut self, t: &Tables, eyes: &Eyes, cluster: u32) {
         let (reach, pixel) = eyes.reach(t, cluster);
         let place = eyes.place(&t.sphere(cluster)).0;
         self.visible[cluster as usize] = place == Place::Visible;
         let unit = eyes.eyes.iter().map(|e| e.unit).fold(f64::INFINITY, f64::min);
         let girth = (t.sphere(cluster).radius as f64 * eyes.quantum * unit) as f32;
-        self.seen.push(Seen { cluster, place, reach, girth, pixel });
+        self.seen.push(Seen { cluster, place, shows: place == Place::Visible, reach, girth, pixel });
     }
 }
