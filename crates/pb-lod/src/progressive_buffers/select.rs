@@ -104,18 +104,18 @@ impl Selector {
         });
         let walks = Walks { now: &walk, soon: soon.as_ref().unwrap_or(&walk) };
         let [(target, now), (texture_target, texels)] = targets(t, &mut self.controls, &self.floors, &walks, frame);
-        let drawn = Switch::new(now, 1.0, t.quantum);
+        let drawn = Switch::new(now.detail, 1.0, t.quantum);
 
-        let mut plan = Plan { detail: Some(now), ..Plan::default() };
+        let mut plan = Plan { detail: Some(now.detail), ..Plan::default() };
         let mut floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
         if let Some(floors) = &mut self.texture_floors {
-            let shown = Switch::new(texels, 1.0, t.quantum);
+            let shown = Switch::new(texels.detail, 1.0, t.quantum);
             floors_stand &= floors.step(t, &eyes, &shown, &walk, frame, &mut plan.released);
             plan.texture_floors = floors.all().to_vec();
         }
         self.draw(&walk, &eyes, &drawn, &mut plan);
         let targets = [&target, &texture_target];
-        self.want(&walk, targets, [now, texels], frame, &mut plan);
+        self.want(&walk, targets, [&now, &texels], frame, &mut plan);
         if let Some(soon) = &soon {
             self.want_ahead(soon, Class::Soon, targets, frame, &mut plan);
         }
@@ -157,14 +157,16 @@ impl Selector {
         plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
     }
 
-    /// Chunks that the views of this frame want: for the detail that is drawn, and soon for that of the target. A target
-    /// and a drawn detail each for geometry and textures.
-    fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [Detail; 2], frame: &Frame, plan: &mut Plan) {
+    /// Chunks that the views of this frame want: now for what is drawn, soon for the target on the way to which that is.
+    /// One of each for geometry and for textures.
+    fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [&Target; 2], frame: &Frame, plan: &mut Plan) {
         self.want_seen(walk, targets, frame, plan, |seen, ladder, coarsest, level| {
             let now = |ladder: Ladder| {
                 let t = &self.tables;
-                let switch = Switch::new(drawn[ladder as usize], 1.0, t.quantum);
-                level(1.0).max(t.ladder_lod(ladder, &switch, seen.cluster, seen.reach) as u32)
+                let drawn = drawn[ladder as usize];
+                let switch = Switch::new(drawn.detail, 1.0, t.quantum);
+                let reach = seen.reach.max(seen.girth * drawn.nearest);
+                level(1.0).max(t.ladder_lod(ladder, &switch, seen.cluster, reach) as u32)
             };
             Some(match (seen.place, frame.prefetch.around) {
                 (Place::Visible, true) => [now(ladder), level(SOON_MARGIN), level(MAYBE_MARGIN)],
@@ -286,7 +288,7 @@ fn targets(
     floors: &Floors,
     walks: &Walks,
     frame: &Frame,
-) -> [(Target, Detail); 2] {
+) -> [(Target, Target); 2] {
     let kept_free = |budget: u64, all: u64| match frame.prefetch.is_off() || budget >= all {
         true => budget,
         false => budget - budget / PREFETCH_SHARE,

@@ -65,9 +65,9 @@ impl DetailControl {
         coarsened(asked, controls.iter().map(|c| c.start(asked)).fold(1.0, f64::min))
     }
 
-    /// The finest target on the ladder that `fits`, and the detail to use in this frame: on its way there, no finer than
-    /// what `is_there`, but at once as coarse as `may_be_drawn` asks for.
-    pub fn step(&mut self, frame: &Frame, conditions: &Conditions) -> (Target, Detail) {
+    /// The finest target on the ladder that `fits`, and what to use in this frame: on its way there, no finer than what
+    /// `is_there`, but at once as coarse as `may_be_drawn` asks for.
+    pub fn step(&mut self, frame: &Frame, conditions: &Conditions) -> (Target, Target) {
         let at = |gain: f64| Target::new(frame.detail, gain);
         let target = STEP.powi(first_that(RUNGS, |rung| (conditions.fits)(&at(STEP.powi(rung)))));
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
@@ -79,7 +79,7 @@ impl DetailControl {
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
         self.arrived |= gain <= target;
-        (Target::new(frame.detail, target), coarsened(frame.detail, gain))
+        (at(target), at(gain))
     }
 
     /// The gain of this frame, between that of the last one and the target.
