@@ -13,8 +13,9 @@ const SOON_SECS: f64 = 0.5;
 const PATH_STEPS: [f64; 2] = [0.125, 0.5];
 /// Motion is a mean over about this time, seconds: shorter than a turn of the hand, longer than its trembling.
 const SMOOTH_SECS: f64 = 0.1;
-/// Nobody knows where a hand steers later than this, seconds.
-const MAX_MOTION_SECS: f64 = 1.0;
+/// Motion is foreseen at least so far, because many loads may come at once, and at most so far, because nobody knows where
+/// a hand steers later; seconds.
+const MOTION_SECS: [f64; 2] = [0.5, 1.0];
 /// Loads are expected to take this long until some were measured, seconds.
 const FIRST_LATENCY_SECS: f64 = 0.1;
 /// Each load that was quicker than expected takes the expectation down by this share of the difference.
@@ -79,7 +80,7 @@ impl Motion {
     /// The cameras that this motion leads to until data that is asked for now is here.
     pub fn expected(&self, latency_secs: f64) -> Expected {
         let Some(key) = &self.last else { return Expected { around: true, ..Expected::default() } };
-        let horizon = (2.0 * latency_secs).min(MAX_MOTION_SECS);
+        let horizon = (2.0 * latency_secs).clamp(MOTION_SECS[0], MOTION_SECS[1]);
         let still = self.velocity == DVec3::ZERO && self.spin == DVec3::ZERO;
         let at = |share: f64| self.after(key, horizon * share);
         match still {
@@ -179,9 +180,10 @@ mod tests {
             key(t, DVec3::new(3.0 * t, 0.0, 1.0), DVec3::new(angle.sin(), 0.0, -angle.cos()))
         };
         (0..120).for_each(|i| motion.add(&at(i as f64 / 60.0), 1.0 / 60.0));
-        let expected = motion.expected(0.2);
+        let expected = motion.expected(0.3);
         let now = 119.0 / 60.0;
-        for (found, ahead) in expected.soon.iter().zip([0.2, 0.4]).chain(expected.later.iter().zip([0.8])) {
+        assert!(!expected.around);
+        for (found, ahead) in expected.soon.iter().zip([0.3, 0.6]).chain(expected.later.iter().zip([1.2])) {
             let truth = at(now + ahead);
             assert!(found.eye.distance(truth.eye) < 0.01, "{found:?} {truth:?}");
             assert!(direction(found).distance(direction(&truth)) < 0.01, "{found:?} {truth:?}");
