@@ -28,7 +28,8 @@ fn fly_while(name: &str, meddle: impl Fn(&Path)) -> Run {
     std::fs::copy(torus(), &archive).unwrap();
     let first = out.join("frames/frame_00000.png");
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb-view"));
-    let line = format!("{} --flypath {} --size 64x64 --error-px 0.1 --frames", text(&archive), text(&path));
+    let line =
+        format!("{} --flypath {} --size 64x64 --error-px 0.1 --no-prefetch --frames", text(&archive), text(&path));
     command.args(line.split(' ')).arg(out.join("frames")).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     while !first.exists() && child.try_wait().unwrap().is_none() {
@@ -100,16 +101,46 @@ fn missing(name: &str, more: &str) -> Vec<f64> {
     column(&stats, "missing_chunks")
 }
 
+fn sum(all: &[f64]) -> f64 {
+    all.iter().sum()
+}
+
 #[test]
 fn a_slow_disk_is_the_same_in_every_run_and_slower_than_a_fast_one() {
     let Some(_) = adapter("slow disks") else { return };
-    let slow = missing("slow_disk", "--disk-model 60,1");
-    assert_eq!(slow, missing("slow_disk_again", "--disk-model 60,1"));
-    let sum = |all: &[f64]| all.iter().sum::<f64>();
-    let fast = missing("fast_disk", "--disk-model 0.1,5000");
+    let slow = missing("slow_disk", "--disk-model 60,1 --no-prefetch");
+    assert_eq!(slow, missing("slow_disk_again", "--disk-model 60,1 --no-prefetch"));
+    let fast = missing("fast_disk", "--disk-model 0.1,5000 --no-prefetch");
     assert!(sum(&slow) > 2.0 * sum(&fast), "{} and {}", sum(&slow), sum(&fast));
     // A settled frame waits for any disk.
-    assert_eq!(sum(&missing("slow_disk_settled", "--disk-model 60,1 --settle")), 0.0);
+    assert_eq!(sum(&missing("slow_disk_settled", "--disk-model 60,1 --no-prefetch --settle")), 0.0);
+}
+
+/// The paper's figure 8. Without an adapter, so that it runs everywhere.
+#[test]
+fn with_prefetching_nothing_is_missing_and_little_is_read_in_vain() {
+    let flown = |name: &str, more: &str| {
+        let counts = missing(name, &format!("--no-draw --disk-model 8,20 {more}"));
+        let bytes = |column_name| sum(&column(&folder(name).join("stats.csv"), column_name));
+        (sum(&counts), bytes("disk_bytes") / bytes("needed_bytes") - 1.0)
+    };
+    let [off, motion, path] =
+        [("on_demand", "--no-prefetch"), ("by_motion", "--lookahead 0"), ("by_path", "--lookahead 2")]
+            .map(|(name, more)| flown(name, more));
+    println!("chunks missing, and part read in vain: {off:?}, by motion {motion:?}, by the path {path:?}");
+    assert!(off.0 > 50.0 && motion.0 < 0.5 * off.0, "{off:?} {motion:?}");
+    assert_eq!(path.0, 0.0);
+    assert!(motion.1 < 0.3 && path.1 < 0.1, "{motion:?} {path:?}");
+}
+
+#[test]
+fn without_drawing_the_same_is_loaded() {
+    let Some(_) = adapter("flights without drawing") else { return };
+    let drawn = missing("streamed_drawn", "--disk-model 8,5 --lookahead 0");
+    assert!(sum(&drawn) > 0.0, "something has to be late");
+    assert_eq!(drawn, missing("streamed_undrawn", "--disk-model 8,5 --lookahead 0 --no-draw"));
+    let bytes = |name: &str| column(&folder(name).join("stats.csv"), "disk_bytes");
+    assert_eq!(bytes("streamed_drawn"), bytes("streamed_undrawn"));
 }
 
 #[test]

@@ -100,7 +100,7 @@ fn texels_change_as_smoothly_as_those_of_the_full_model_also_where_they_come_lat
     let archive = bake_hills("loud_hills.pb", 64, loud(1024));
     let full = fly(&archive, "texture_pops_full", "--settle --error-px 0.001");
     let settled = fly(&archive, "texture_pops_settled", "--settle --error-px 1");
-    let late = fly(&archive, "texture_pops_late", "--error-px 1 --late-frames 30");
+    let late = fly(&archive, "texture_pops_late", "--error-px 1 --late-frames 30 --no-prefetch");
     let missing = column(&late.join("stats.csv"), "missing_chunks").iter().filter(|m| **m > 0.0).count();
     let [full, settled, late] = [full, settled, late].map(|f| change(&f));
     println!(
