@@ -66,6 +66,8 @@ pub struct Frame<'a> {
     pub resident: &'a [bool],
     /// Per chunk: true when the cache would like it back; its cluster's floor rises until it is free.
     pub retiring: &'a [bool],
+    /// Per chunk: true when it cannot be read and never will be; nothing waits for it.
+    pub failed: &'a [bool],
     /// Allowed error or bands.
     pub detail: Detail,
     /// Upper bound for the bytes of all geometry chunks that this frame wants resident; the error rises until it

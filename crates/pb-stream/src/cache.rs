@@ -263,6 +263,11 @@ impl Cache {
         self.ram[chunk.0 as usize] == Ram::Loaded
     }
 
+    /// Per chunk: could not be loaded and never will be.
+    pub fn failed(&self) -> &[bool] {
+        &self.failed
+    }
+
     /// True when the chunk could not be loaded and never will be.
     pub fn has_failed(&self, chunk: ChunkId) -> bool {
         self.failed[chunk.0 as usize]

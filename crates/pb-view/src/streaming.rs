@@ -219,6 +219,7 @@ impl Streaming {
             views: &[self.view(moment)],
             resident: &self.resident,
             retiring: self.cache.retiring(),
+            failed: self.cache.failed(),
             detail: moment.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],

@@ -94,6 +94,7 @@ impl Selector {
         let t = &self.tables;
         assert_eq!(frame.resident.len(), t.chunks(), "one residency flag per chunk");
         assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
+        assert_eq!(frame.failed.len(), t.chunks(), "one failed flag per chunk");
         let eyes = Eyes::new(frame.views, frame.detail, t);
         let finest = DetailControl::finest(&self.controls, frame.detail);
         let margin = if frame.prefetch.around { MAYBE_MARGIN } else { 1.0 };
@@ -318,14 +319,16 @@ fn targets(
     ]
 }
 
-/// Whether all chunks that are drawn at a target are resident.
+/// Whether all chunks that are drawn at a target are resident, but for those that cannot be.
 fn is_there(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target, frame: &Frame) -> bool {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     walk.seen.iter().filter(|s| s.place == Place::Visible).all(|s| {
         let reach = s.reach.max(s.girth * target.nearest);
         let level = t.ladder_lod(ladder, &switch, s.cluster, reach) as u32;
-        // Coarser ones are resident with it (I5).
-        level >= t.coarsest(ladder, s.cluster) || frame.resident[t.chunk(ladder, s.cluster, level).0 as usize]
+        let at = |level: u32| t.chunk(ladder, s.cluster, level).0 as usize;
+        let mut needed = level..t.coarsest(ladder, s.cluster);
+        // Coarser ones are resident with the finest (I5), and nothing is finer than what failed.
+        needed.is_empty() || frame.resident[at(level)] || needed.any(|level| frame.failed[at(level)])
     })
 }
 

@@ -262,6 +262,7 @@ impl<'a> World<'a> {
             views: &[self.view()],
             resident: &self.resident,
             retiring: self.cache.retiring(),
+            failed: self.cache.failed(),
             detail: self.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],

@@ -24,6 +24,7 @@ struct Bench {
     selector: Selector,
     resident: Vec<bool>,
     retiring: Vec<bool>,
+    failed: Vec<bool>,
     detail: Detail,
     budget: u64,
 }
@@ -40,6 +41,7 @@ impl Bench {
             selector,
             resident,
             retiring: vec![false; chunks],
+            failed: vec![false; chunks],
             detail: Detail::ErrorPx(1.0),
             budget: u64::MAX,
         }
@@ -59,6 +61,7 @@ impl Bench {
             views,
             resident: &self.resident,
             retiring: &self.retiring,
+            failed: &self.failed,
             detail: self.detail,
             vram_budget_bytes: self.budget,
             texture_budget_bytes: 0,
@@ -401,4 +404,69 @@ fn the_error_rises_until_the_triangles_are_few_enough_and_no_further() {
     bench.select(&views, f32::INFINITY);
     let plan = bench.select_with(&views, Prefetch::AROUND, most, 1.0 / 60.0);
     assert!(plan.triangles <= most, "{} of {most}", plan.triangles);
+}
+
+/// Reads what is wanted, at most `at_once` chunks per frame and none of `broken`; per frame the error that the detail
+/// allows and what was missing, until the detail stands for a second.
+fn stream(bench: &mut Bench, at_once: usize, broken: impl Fn(u32) -> bool) -> Vec<(f32, u32)> {
+    let eye = [view(DVec3::new(25.0, 1.0, 9.5))];
+    let mut out: Vec<(f32, u32)> = Vec::new();
+    while out.len() < 60 || out[out.len() - 60].0 != out[out.len() - 1].0 {
+        assert!(out.len() < 6000, "the detail never stands");
+        let plan = bench.select_with(&eye, Prefetch::OFF, u64::MAX, 1.0 / 60.0);
+        let Some(Detail::ErrorPx(tau)) = plan.detail else { panic!("{:?}", plan.detail) };
+        out.push((tau, plan.missing_chunks));
+        let absent = |c: &u32| !bench.resident[*c as usize] && !broken(*c);
+        let next: Vec<u32> = plan.wants.iter().map(|w| w.chunk.0).filter(absent).take(at_once).collect();
+        next.into_iter().for_each(|c| bench.resident[c as usize] = true);
+    }
+    out
+}
+
+#[test]
+fn detail_gets_finer_as_fast_as_data_comes_and_lacks_nothing_on_the_way() {
+    let mut bench = Bench::new(8, 5);
+    bench.detail = Detail::ErrorPx(0.01);
+    let slow = stream(&mut bench, 1, |_| false);
+    assert!(slow[0].0 > 1.0, "{slow:?}");
+    assert!(slow.windows(2).all(|f| f[1].0 <= f[0].0), "never coarser again");
+    assert!(slow.iter().all(|f| f.1 == 0), "{slow:?}");
+    assert_eq!(slow.last().unwrap().0, 0.01);
+    let mut bench = Bench::new(8, 5);
+    bench.detail = Detail::ErrorPx(0.01);
+    let fast = stream(&mut bench, usize::MAX, |_| false);
+    assert!(fast.len() < slow.len() && fast.last().unwrap().0 == 0.01, "{} and {}", fast.len(), slow.len());
+}
+
+#[test]
+fn damaged_chunks_do_not_hold_the_others_up() {
+    let mut bench = Bench::new(8, 5);
+    bench.detail = Detail::ErrorPx(0.01);
+    let broken = |c: u32| c.is_multiple_of(7);
+    bench.failed = (0..bench.failed.len() as u32).map(broken).collect();
+    let flown = stream(&mut bench, usize::MAX, broken);
+    let last = flown.last().unwrap();
+    assert!(flown.len() < 300 && last.0 == 0.01 && last.1 > 0, "{} frames, {last:?}", flown.len());
+}
+
+#[test]
+fn the_error_rises_until_what_is_seen_soon_fits_too() {
+    let mut bench = Bench::new(48, 4).all_resident();
+    let [here, there] = [DVec3::X, -DVec3::X].map(|d| [view(d * 2.5 + DVec3::Z * 0.2)]);
+    let soon = Prefetch { around: false, soon: &there, later: &[] };
+    let error = |plan: Plan| match plan.detail {
+        Some(Detail::ErrorPx(tau)) => tau,
+        other => panic!("{other:?}"),
+    };
+    let bytes = |bench: &Bench, plan: &Plan| {
+        let finer = plan.wants.iter().filter(|w| w.class >= Class::Soon).map(|w| w.chunk.0);
+        let finer = finer.filter(|c| c % 4 != 3).map(|c| bench.selector.tables.chunk_bytes(ChunkId(c)));
+        finer.sum::<u64>() + bench.selector.tables.coarse_bytes
+    };
+    let all = bench.select_with(&here, Prefetch::OFF, u64::MAX, f32::INFINITY);
+    bench.budget = bytes(&bench, &all) * 17 / 15;
+    let alone = error(bench.select_with(&here, Prefetch::OFF, u64::MAX, f32::INFINITY));
+    let plan = bench.select_with(&here, soon, u64::MAX, f32::INFINITY);
+    assert!(bytes(&bench, &plan) <= bench.budget, "{} of {}", bytes(&bench, &plan), bench.budget);
+    assert!(alone == 1.0 && error(plan) > alone);
 }

@@ -14,6 +14,7 @@ struct Bench {
     selector: Selector,
     resident: Vec<bool>,
     retiring: Vec<bool>,
+    failed: Vec<bool>,
     clusters: u32,
 }
 
@@ -26,6 +27,7 @@ impl Bench {
             selector: Selector::new(&torus.tables()),
             resident: vec![false; torus.chunks()],
             retiring: vec![false; torus.chunks()],
+            failed: vec![false; torus.chunks()],
             clusters,
         };
         for c in 0..clusters {
@@ -44,6 +46,7 @@ impl Bench {
             views: &[View { eye, planes, pixel_angle: PIXEL_ANGLE }],
             resident: &self.resident,
             retiring: &self.retiring,
+            failed: &self.failed,
             detail: Detail::ErrorPx(tau),
             vram_budget_bytes: u64::MAX,
             texture_budget_bytes: budget,
