@@ -102,6 +102,11 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_triangles: Option<u64>,
 
+    /// Least frames per second: the allowed error rises until frames are quick enough. Pictures then depend on the
+    /// machine's speed, also without a window.
+    #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with_all = ["settle", "no_draw"])]
+    pub target_fps: Option<f64>,
+
     /// Load what a flypath will show this many seconds ahead; with 0, what the camera's motion leads to.
     #[arg(long, value_name = "SECS", default_value_t = 2.0, value_parser = parse_lookahead)]
     pub lookahead: f64,
@@ -331,6 +336,14 @@ fn parse_error_px(text: &str) -> Result<f32, String> {
     }
 }
 
+fn parse_fps(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("'{text}' is no number of frames per second"))?;
+    match (0.1..=1000.0).contains(&value) {
+        true => Ok(value),
+        false => Err(format!("{text} is out of range; write a number of frames per second from 0.1 to 1000")),
+    }
+}
+
 fn parse_lookahead(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("'{text}' is no number of seconds"))?;
     match (0.0..=60.0).contains(&value) {
@@ -389,7 +402,8 @@ mod tests {
 
     #[test]
     fn wrong_values_say_what_is_right() {
-        let cases: [(&[&str], &str); 8] = [
+        let cases: [(&[&str], &str); 9] = [
+            (&["--target-fps", "0"], "0.1 to 1000"),
             (&["--compare", "a.json"], "--report"),
             (&["--size", "12"], "1280x720"),
             (&["--size", "0x5"], "1 to 16384"),

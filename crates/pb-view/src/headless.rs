@@ -12,6 +12,7 @@ use crate::export::write_ply;
 use crate::failure::Outcome;
 use crate::flyer::Flyer;
 use crate::flypath::{Flypath, default_flight};
+use crate::frame_rate::FrameRate;
 use crate::prefetch::Prefetcher;
 use crate::report::cuts::is_cut;
 use crate::report::{self, Report};
@@ -42,7 +43,8 @@ pub fn run(args: &Args) -> Result<Outcome> {
         flyer.streaming_mut().record_cache(path)?;
     }
     let report = report.map(|r| r.begin(args, &flyer, &flight));
-    let mut run = Run { args, stats, report, prefetcher: args.prefetcher() };
+    let frame_rate = FrameRate::new(args.target_fps);
+    let mut run = Run { args, stats, report, prefetcher: args.prefetcher(), frame_rate };
     let mut total = Total::default();
     for frame in 0..flight.frames() {
         total.add(&run.frame(&mut flyer, &flight, frame)?);
@@ -73,18 +75,23 @@ struct Run<'a> {
     stats: Option<StatsFile>,
     prefetcher: Prefetcher,
     report: Option<Report>,
+    frame_rate: FrameRate,
 }
 
 impl Run<'_> {
     fn frame(&mut self, flyer: &mut Flyer, flight: &Flypath, frame: u32) -> Result<Line> {
         let start = Instant::now();
         let key = flight.at(flight.time(frame));
-        let moment = Moment { key, size: self.args.size, detail: self.args.detail(), dt_secs: flight.dt_secs() as f32 };
+        let (asked, dt_secs) = (self.args.detail(), flight.dt_secs());
+        let detail = self.frame_rate.detail(asked);
+        let moment = Moment { key, size: self.args.size, detail, dt_secs: dt_secs as f32 };
         let at = Some((flight, flight.time(frame)));
         let streaming = flyer.streaming_mut();
-        streaming.expect(self.prefetcher.expect(&key, flight.dt_secs(), at, streaming.latency()));
+        streaming.expect(self.prefetcher.expect(&key, dt_secs, at, streaming.latency()));
         let draw_ms = flyer.frame(&moment, self.args.settle, self.args.style())?;
-        let frame_ms = start.elapsed().as_secs_f64() * 1e3;
+        let frame_secs = start.elapsed().as_secs_f64();
+        self.frame_rate.add(frame_secs, frame_secs.max(dt_secs), asked, flyer.streaming().detail(&moment));
+        let frame_ms = frame_secs * 1e3;
         let (t_secs, cut) = (flight.time(frame), is_cut(flight, frame));
         let memory = if self.stats.is_some() { ProcessMemory::now() } else { ProcessMemory::default() };
         let line = Line { frame, t_secs, frame_ms, draw_ms, cut, memory, stats: flyer.stats() };

@@ -9,6 +9,7 @@ pub mod failure;
 pub mod feed;
 mod flyer;
 pub mod flypath;
+mod frame_rate;
 mod headless;
 mod meter;
 pub mod navigate;

@@ -16,6 +16,7 @@ use crate::args::Args;
 use crate::failure::Outcome;
 use crate::feed::DiskClock;
 use crate::flypath::{Flypath, Keyframe};
+use crate::frame_rate::FrameRate;
 use crate::navigate::{Mode, Navigator, Push};
 use crate::overlay::Overlay;
 use crate::prefetch::Prefetcher;
@@ -113,6 +114,7 @@ struct Shown {
     style: Style,
     detail: Detail,
     prefetcher: Prefetcher,
+    frame_rate: FrameRate,
     push: Push,
     buttons: Buttons,
     clock: Clock,
@@ -166,6 +168,7 @@ impl Shown {
             style: args.style(),
             detail: args.detail(),
             prefetcher: args.prefetcher(),
+            frame_rate: FrameRate::new(args.target_fps),
             push: Push::default(),
             buttons: Buttons::default(),
             clock: Clock { start: now, last: now, status: now, frames: 0 },
@@ -324,7 +327,8 @@ impl Shown {
         let key = self.camera(dt_secs);
         self.record(key);
         let size = self.screen.canvas.size;
-        let moment = Moment { key, size, detail: self.detail, dt_secs: dt_secs as f32 };
+        let detail = self.frame_rate.detail(self.detail);
+        let moment = Moment { key, size, detail, dt_secs: dt_secs as f32 };
         let flight = self.playing.as_ref().map(|p| (&p.flight, p.t_secs));
         let streaming = &mut self.stage.streaming;
         streaming.expect(self.prefetcher.expect(&key, dt_secs, flight, streaming.latency()));
@@ -336,6 +340,12 @@ impl Shown {
         self.overlay.draw(&self.gpu, &color, size);
         self.window.pre_present_notify();
         self.gpu.queue.present(picture);
+        if self.frame_rate.is_on() {
+            // The time of the whole frame, without the wait for the screen.
+            self.gpu.wait()?;
+            let drawn = self.stage.streaming.detail(&moment);
+            self.frame_rate.add(now.elapsed().as_secs_f64(), dt_secs, self.detail, drawn);
+        }
         let moving = self.push != Push { fast: self.push.fast, ..Push::default() };
         let flying = self.playing.as_ref().is_some_and(|p| !p.paused);
         if moving || flying || !self.stage.streaming.settled() {

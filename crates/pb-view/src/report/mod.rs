@@ -120,6 +120,7 @@ fn facts(label: String, args: &Args, flyer: &Flyer, flight: &Flypath) -> Facts {
             texture_vram_bytes: plan.texture_bytes(),
             ram_bytes: args.ram,
             max_triangles: args.max_triangles,
+            target_fps: args.target_fps,
         },
     }
 }

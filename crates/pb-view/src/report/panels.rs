@@ -211,6 +211,8 @@ fn bounds(id: &str, content: &Content) -> Vec<(String, f64)> {
     match id {
         "vram" => vec![("bound".to_owned(), bounds.vram_bytes as f64 / MIB)],
         "ram" => vec![("bound".to_owned(), bounds.ram_bytes as f64 / MIB)],
+        "frame-time" => bounds.target_fps.map(|fps| ("bound".to_owned(), 1e3 / fps)).into_iter().collect(),
+        "fps" => bounds.target_fps.map(|fps| ("bound".to_owned(), fps)).into_iter().collect(),
         "triangles" => bounds.max_triangles.map(|n| ("bound".to_owned(), n as f64)).into_iter().collect(),
         _ => Vec::new(),
     }

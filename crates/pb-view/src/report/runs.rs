@@ -101,6 +101,9 @@ pub struct Bounds {
     pub ram_bytes: u64,
     /// `--max-triangles`.
     pub max_triangles: Option<u64>,
+    /// `--target-fps`.
+    #[serde(default)]
+    pub target_fps: Option<f64>,
 }
 
 /// The text of a JSON file.
