@@ -251,21 +251,6 @@ impl Streaming {
     }
 
     fn meter_wants(&mut self) {
-        if std::env::var("PB_DBG").is_ok() {
-            use std::cell::RefCell;
-            thread_local! { static SOON: RefCell<BTreeMap<u32, (f64, Class, f32)>> = RefCell::new(BTreeMap::new()); }
-            SOON.with_borrow_mut(|soon| {
-                for (place, w) in self.plan.wants.iter().enumerate() {
-                    let id = w.chunk.0;
-                    if self.resident[id as usize] || self.model.always_resident(w.chunk) { soon.remove(&id); continue; }
-                    let first = *soon.entry(id).or_insert((self.clock, w.class, w.error_px));
-                    if w.class == Class::Now && self.clock > 1.0 {
-                        let (cluster, level) = self.model.chunk_place(w.chunk);
-                        eprintln!("{:.2} missing {id} {}{cluster}/{level} place {place} err {:.2} first wanted {:.2} as {:?} err {:.2}; asked {:?} in_ram {} bytes {}", self.clock, if self.model.is_texture(w.chunk) {"t"} else {"g"}, w.error_px, first.0, first.1, first.2, self.asked_at.get(&pb_stream::ChunkId(id)), self.cache.in_ram(pb_stream::ChunkId(id)), stored_bytes(&self.model, w.chunk));
-                    }
-                }
-            });
-        }
         let (model, cache, resident) = (&self.model, &self.cache, &self.resident);
         self.meter.wants(&self.plan.wants, |chunk| {
             let there = resident[chunk.0 as usize] || cache.in_ram(pb_stream::ChunkId(chunk.0));
