@@ -104,7 +104,8 @@ pub(crate) struct Pipelines {
 }
 
 impl Pipelines {
-    pub fn new(gpu: &Gpu, tiles: Option<&GpuTiles>, picture: PictureFormat) -> Self {
+    pub fn new(gpu: &Gpu, model: &GpuModel, picture: PictureFormat) -> Self {
+        let tiles = model.tiles.as_ref();
         let kind = ShaderKind { primitive_index: gpu.primitive_index, textured: tiles.is_some() };
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("clusters"),
@@ -118,12 +119,14 @@ impl Pipelines {
             bind_group_layouts: if kind.textured { &layouts } else { &layouts[..1] },
             immediate_size: 0,
         });
+        let vertex_constants = [("level_count", model.levels as f64)];
         let mut constants = vec![("cutouts", tiles.is_some_and(|t| t.cutouts) as u32 as f64)];
         constants.push(("samples", picture.samples as u32 as f64));
         constants.extend(tiles.map(|t| ("object_normals", t.object_normals() as u32 as f64)));
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;
-            let shader = Shader { layout: &pipeline_layout, module: &module, entry, constants: &constants };
+            let stages = (&vertex_constants[..], &constants[..]);
+            let shader = Shader { layout: &pipeline_layout, module: &module, entry, constants: stages };
             wanted.then(|| pipeline(gpu, &shader, picture, mode))
         };
         let modes = [wgpu::PolygonMode::Fill, wgpu::PolygonMode::Line];
@@ -235,9 +238,11 @@ struct Shader<'a> {
     module: &'a wgpu::ShaderModule,
     /// Of the vertex stage.
     entry: &'a str,
-    /// Of the fragment stage.
-    constants: &'a [(&'static str, f64)],
+    /// Of the vertex stage and of the fragment stage.
+    constants: (Constants<'a>, Constants<'a>),
 }
+
+type Constants<'a> = &'a [(&'static str, f64)];
 
 fn pipeline(
     gpu: &Gpu,
@@ -245,13 +250,14 @@ fn pipeline(
     picture: PictureFormat,
     polygon_mode: wgpu::PolygonMode,
 ) -> wgpu::RenderPipeline {
+    let options = |constants| wgpu::PipelineCompilationOptions { constants, ..Default::default() };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(shader.entry),
         layout: Some(shader.layout),
         vertex: wgpu::VertexState {
             module: shader.module,
             entry_point: Some(shader.entry),
-            compilation_options: Default::default(),
+            compilation_options: options(shader.constants.0),
             buffers: &[],
         },
         primitive: wgpu::PrimitiveState { polygon_mode, ..Default::default() },
@@ -266,7 +272,7 @@ fn pipeline(
         fragment: Some(wgpu::FragmentState {
             module: shader.module,
             entry_point: Some("fs_main"),
-            compilation_options: wgpu::PipelineCompilationOptions { constants: shader.constants, ..Default::default() },
+            compilation_options: options(shader.constants.1),
             targets: &[Some(picture.color.into())],
         }),
         multiview_mask: None,

@@ -58,7 +58,7 @@ impl Renderer {
         picture: PictureFormat,
     ) -> Result<Self, RenderError> {
         let model = GpuModel::new(gpu, tables, coarse, vram_bound)?;
-        let pipelines = Pipelines::new(gpu, model.tiles.as_ref(), picture);
+        let pipelines = Pipelines::new(gpu, &model, picture);
         let view_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<ViewUniform>() as u64,
@@ -154,22 +154,23 @@ impl Renderer {
             eye_cell: scene.eye.cell,
             quantum: scene.eye.quantum,
             eye_rest: scene.eye.rest,
-            levels: self.model.levels,
+            clusters: self.model.clusters,
             sun: sun(scene.camera).to_array(),
             color_mode: scene.style.color as u32,
             show_back_faces: scene.style.show_back_faces as u32,
             morph: if scene.style.morph { 1.0 } else { 0.0 },
             has_colors: self.model.has_colors as u32,
             textured: self.model.tiles.is_some() as u32,
-            clusters: self.model.clusters,
             maps: self.model.tiles.as_ref().map_or(u32::MAX, map_places),
             anisotropy: scene.style.anisotropy.clamp(1, MAX_ANISOTROPY) as f32,
             tone_map: (self.picture.color != wgpu::TextureFormat::Rgba16Float) as u32,
+            reserved: 0,
         };
         gpu.queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
     }
 
-    /// The tables' layout and the frame's bind group, for a pass of the caller's own over the same data.
+    /// The tables' layout and the frame's bind group, for a pass of the caller's own over the same data. display.wgsl's
+    /// constant `level_count` is the model's number of levels.
     pub fn bindings(&self) -> (&wgpu::BindGroupLayout, &wgpu::BindGroup) {
         (&self.pipelines.layout, &self.bind_group)
     }

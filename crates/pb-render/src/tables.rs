@@ -14,8 +14,8 @@ pub struct ViewUniform {
     pub quantum: f32,
     /// Eye relative to its cell, world units.
     pub eye_rest: [f32; 3],
-    /// Number of levels L.
-    pub levels: u32,
+    /// Number of clusters.
+    pub clusters: u32,
     /// Unit vector to the sun, world space.
     pub sun: [f32; 3],
     /// [`ColorMode`](crate::ColorMode) as a number.
@@ -28,14 +28,14 @@ pub struct ViewUniform {
     pub has_colors: u32,
     /// 1 where vertices carry texture coordinates in place of colours.
     pub textured: u32,
-    /// Number of clusters.
-    pub clusters: u32,
     /// By [`MapKind`](pb_lod::progressive_buffers::textures::MapKind) eight bits: its place in the model's maps, or 255 where there is none.
     pub maps: u32,
     /// Most samples along the longer axis of a pixel's footprint, at least 1.
     pub anisotropy: f32,
     /// 1 where the picture cannot hold light brighter than 1.
     pub tone_map: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// `Cluster` in display.wgsl.

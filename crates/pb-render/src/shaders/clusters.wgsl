@@ -34,5 +34,5 @@ fn vs_coarse(@builtin(vertex_index) index: u32) -> Fragment {
     let cluster = coarse_clusters[index];
     let vertex = heap[index];
     let shown = plain(cluster, vertex, position_of(cluster, vertex));
-    return fragment_of(shown, cluster * 16u + view.levels - 1u, index);
+    return fragment_of(shown, cluster * 16u + level_count - 1u, index);
 }

@@ -7,8 +7,8 @@ struct View {
     eye_cell: vec3<i32>,
     quantum: f32,
     eye_rest: vec3<f32>,
-    // Number of levels L.
-    levels: u32,
+    // Number of clusters.
+    clusters: u32,
     // Unit vector to the sun, world space.
     sun: vec3<f32>,
     // 0 shaded, 1 level, 2 cluster, 3 triangle, 4 albedo, 5 normals, 6 mips, 7 texels, 8 checker.
@@ -21,14 +21,13 @@ struct View {
     has_colors: u32,
     // 1 where vertices carry texture coordinates in place of colours.
     textured: u32,
-    // Number of clusters.
-    clusters: u32,
     // By kind of map (base colour, ORM, normal, emissive) eight bits: its index, or 255 where the model has none.
     maps: u32,
     // Most samples along the longer axis of a pixel's footprint.
     anisotropy: f32,
     // 1 where the picture cannot hold light brighter than 1.
     tone_map: u32,
+    reserved: u32,
 }
 
 struct Cluster {
@@ -48,6 +47,10 @@ struct Level {
     // Vertex v that dies at this level is heap[base + v]; wraps around.
     base: u32,
 }
+
+// Number of levels L. No uniform: where one bounds a loop, Mesa's lavapipe 22.3 makes a new shader for each frame and
+// keeps them all.
+override level_count: u32;
 
 @group(0) @binding(0) var<uniform> view: View;
 // Vertices of 16 bytes and index ranges, by chunk.
@@ -74,8 +77,8 @@ struct Displayed {
 
 // Level of detail of `cluster` at distance `d`: max(m, i + (d - D_i) / (D_{i+1} - D_i)).
 fn table_lod(cluster: u32, d: f32) -> f32 {
-    let first = cluster * view.levels;
-    let last = view.levels - 1u;
+    let first = cluster * level_count;
+    let last = level_count - 1u;
     var lod = f32(last);
     for (var i = 0u; i < last; i++) {
         let far = distances[first + i + 1u];
@@ -135,16 +138,16 @@ fn plain(cluster: u32, vertex: vec4<u32>, position: vec3<f32>) -> Displayed {
 
 // The level at which vertex `v` of `cluster` dies; it is at least `level`.
 fn death(cluster: u32, v: u32, level: u32) -> u32 {
-    let first = cluster * view.levels;
+    let first = cluster * level_count;
     var i = level;
-    while i < view.levels - 1u && v < levels[first + i + 1u].vertices {
+    while i < level_count - 1u && v < levels[first + i + 1u].vertices {
         i++;
     }
     return i;
 }
 
 fn stored(cluster: u32, v: u32, dies: u32) -> vec4<u32> {
-    return heap[levels[cluster * view.levels + dies].base + v];
+    return heap[levels[cluster * level_count + dies].base + v];
 }
 
 // Where vertex `index` of `cluster` is shown. The level of the index buffer that draws it plays no part: at the
@@ -156,7 +159,7 @@ fn stored(cluster: u32, v: u32, dies: u32) -> vec4<u32> {
 // One loop with one copy of each sum: a finer cluster that has walked up to a vertex and a coarser one that starts
 // there run the very same instructions on it.
 fn display(cluster: u32, index: u32) -> Displayed {
-    let last = view.levels - 1u;
+    let last = level_count - 1u;
     var v = index;
     var level = 0u;
     var weight = 1.0;

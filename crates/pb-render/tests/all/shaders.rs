@@ -49,17 +49,17 @@ fn structs_lie_in_memory_as_the_shader_reads_them() {
         eye_cell,
         quantum,
         eye_rest,
-        levels,
+        clusters,
         sun,
         color_mode,
         show_back_faces,
         morph,
         has_colors,
         textured,
-        clusters,
         maps,
         anisotropy,
-        tone_map
+        tone_map,
+        reserved
     );
     assert_eq!(wgsl_layout(&module, "View"), view);
     assert_eq!(wgsl_layout(&module, "Level"), rust_layout!(LevelGpu, vertices, base));

@@ -37,7 +37,8 @@ fn layout_entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLay
 }
 
 impl<'a> Probe<'a> {
-    fn new(gpu: &'a Gpu, renderer: &Renderer) -> Self {
+    fn new(gpu: &'a Gpu, renderer: &Renderer, levels: u32) -> Self {
+        let constants = [("level_count", levels as f64)];
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("probe"),
             source: wgpu::ShaderSource::Wgsl([DISPLAY_WGSL, PROBE_WGSL].concat().into()),
@@ -59,7 +60,7 @@ impl<'a> Probe<'a> {
             layout: Some(&pipeline_layout),
             module: &module,
             entry_point: Some("probe_display"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
             cache: None,
         });
         Self { gpu, pipeline, layout }
@@ -118,7 +119,7 @@ fn check_model(gpu: &Gpu, model: &RandomModel, eye: DVec3, random: &mut Random) 
     // An empty frame: leaves the view and the floors on the adapter.
     let plan = Plan { floors: model.floors(), ..Plan::default() };
     renderer.draw(gpu, &target.surface(), &Scene { plan: &plan, camera: &camera, eye, style: Style::default() });
-    let probe = Probe::new(gpu, &renderer);
+    let probe = Probe::new(gpu, &renderer, levels);
     for cluster in 0..clusters {
         compare_cluster(model, cluster, &eye, &probe.run(&renderer, cluster, model.counts(cluster)[0]));
     }
