@@ -48,6 +48,10 @@ bench-view *ARGS:
 bench-gpu *ARGS:
     tools/bench-view {{ARGS}} --size 1920x1080
 
+# memory of a process that flies for 30 minutes, and its bounds
+bench-soak *ARGS:
+    tools/bench-soak {{ARGS}}
+
 # the paper's figures 6 and 8 from a generated colonnade, as reports and plots in out/figures
 figures *ARGS:
     tools/figures {{ARGS}}

@@ -160,6 +160,10 @@ pub struct Args {
     #[arg(long, value_name = "LATENCY_MS,MB_PER_S", conflicts_with = "late_frames")]
     pub disk_model: Option<DiskModel>,
 
+    /// Fly the flypath over and over for so many minutes (for long runs).
+    #[arg(long, hide = true, value_name = "M", conflicts_with_all = ["report", "frames", "export_view"])]
+    pub minutes: Option<f64>,
+
     /// Write all that the cache is told and says into this file (pb-view simulate --replay runs it again).
     #[arg(long, hide = true, value_name = "R.jsonl")]
     pub record_cache: Option<PathBuf>,

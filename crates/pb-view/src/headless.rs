@@ -46,7 +46,12 @@ pub fn run(args: &Args) -> Result<Outcome> {
     let frame_rate = FrameRate::new(args.target_fps);
     let mut run = Run { args, stats, report, prefetcher: args.prefetcher(), frame_rate };
     let mut total = Total::default();
-    for frame in 0..flight.frames() {
+    let start = Instant::now();
+    let more = |frame: u32| match args.minutes {
+        Some(minutes) => start.elapsed().as_secs_f64() < minutes * 60.0,
+        None => frame < flight.frames(),
+    };
+    for frame in (0..).take_while(|&frame| more(frame)) {
         total.add(&run.frame(&mut flyer, &flight, frame)?);
     }
     if let Some(stats) = run.stats {
@@ -79,20 +84,22 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
+    /// The next frame; after the flight's last one comes its first.
     fn frame(&mut self, flyer: &mut Flyer, flight: &Flypath, frame: u32) -> Result<Line> {
         let start = Instant::now();
-        let key = flight.at(flight.time(frame));
+        let place = frame % flight.frames();
+        let key = flight.at(flight.time(place));
         let (asked, dt_secs) = (self.args.detail(), flight.dt_secs());
         let detail = self.frame_rate.detail(asked);
         let moment = Moment { key, size: self.args.size, detail, dt_secs: dt_secs as f32 };
-        let at = Some((flight, flight.time(frame)));
+        let at = Some((flight, flight.time(place)));
         let streaming = flyer.streaming_mut();
         streaming.expect(self.prefetcher.expect(&key, dt_secs, at, streaming.latency()));
         let draw_ms = flyer.frame(&moment, self.args.settle, self.args.style())?;
         let frame_secs = start.elapsed().as_secs_f64();
         self.frame_rate.add(frame_secs, frame_secs.max(dt_secs), asked, flyer.streaming().detail(&moment));
         let frame_ms = frame_secs * 1e3;
-        let (t_secs, cut) = (flight.time(frame), is_cut(flight, frame));
+        let (t_secs, cut) = (flight.time(place), is_cut(flight, place));
         let memory = if self.stats.is_some() { ProcessMemory::now() } else { ProcessMemory::default() };
         let line = Line { frame, t_secs, frame_ms, draw_ms, cut, memory, stats: flyer.stats() };
         if let Some(file) = &mut self.stats {
