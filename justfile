@@ -48,6 +48,10 @@ bench-view *ARGS:
 bench-gpu *ARGS:
     tools/bench-view {{ARGS}} --size 1920x1080
 
+# frames of a window while it loads, and after
+bench-window *ARGS:
+    tools/bench-window {{ARGS}}
+
 # memory of a process that flies for 30 minutes, and its bounds
 bench-soak *ARGS:
     tools/bench-soak {{ARGS}}

@@ -248,6 +248,11 @@ impl Cache {
         *lost = (*lost + 2 * info.vram_bytes).min(self.limits.vram_bytes[info.pool] / 2);
     }
 
+    /// From now on a frame begins to upload at most so many bytes (at least one chunk, though).
+    pub fn limit_uploads(&mut self, bytes_per_frame: u64) {
+        self.limits.upload_bytes_per_frame = bytes_per_frame;
+    }
+
     /// Per chunk: in VRAM, may be drawn (retiring ones included).
     pub fn resident(&self) -> &[bool] {
         &self.resident

@@ -44,6 +44,7 @@ enum Event {
     LoadWithdrawn(ChunkId),
     Uploaded(ChunkId),
     UploadFailed(ChunkId),
+    LimitUploads(u64),
 }
 
 /// A cache that writes down what happens to it, once it is told to.
@@ -120,6 +121,12 @@ impl Recorded {
     pub fn upload_failed(&mut self, chunk: ChunkId) {
         self.write(&Event::UploadFailed(chunk));
         self.cache.upload_failed(chunk);
+    }
+
+    /// As [`Cache::limit_uploads`].
+    pub fn limit_uploads(&mut self, bytes_per_frame: u64) {
+        self.write(&Event::LimitUploads(bytes_per_frame));
+        self.cache.limit_uploads(bytes_per_frame);
     }
 
     fn write(&mut self, line: &impl Serialize) {
@@ -214,6 +221,7 @@ pub fn replay(file: impl BufRead) -> Result<Replayed, ReplayError> {
             Event::LoadWithdrawn(chunk) => cache.load_withdrawn(chunk),
             Event::Uploaded(chunk) => cache.uploaded(chunk),
             Event::UploadFailed(chunk) => cache.upload_failed(chunk),
+            Event::LimitUploads(bytes) => cache.limit_uploads(bytes),
         }
     }
     Ok(done)

@@ -42,6 +42,9 @@ pub trait Source: Send + Sync + 'static {
     /// Checks and unpacks the bytes of a chunk.
     fn decode(&self, chunk: ChunkId, bytes: &[u8]) -> LoadResult<Self::Payload>;
 
+    /// Called by each thread that decodes, once, before its first chunk: a chance to let others go first.
+    fn begin_decoding(&self) {}
+
     /// These bytes will be read soon: a chance to tell the system.
     fn will_need(&self, extent: Extent);
 }
@@ -313,6 +316,7 @@ fn read_all<S: Source>(queue: &Queue, source: &S, results: &Sender<Answer<S>>) {
 }
 
 fn decode_all<S: Source>(queue: &Queue, source: &S, results: &Sender<Answer<S>>) {
+    source.begin_decoding();
     while let Some(piece) = queue.next(|state| state.read.pop_front()) {
         let Piece { ticket, extent, bytes, range } = piece;
         let result = caught(|| source.decode(ticket.chunk, &bytes[range]));

@@ -46,6 +46,10 @@ pub struct Args {
     #[arg(long)]
     pub headless: bool,
 
+    /// Open a window although --stats is given, which then gets a line for each frame of the window.
+    #[arg(long, conflicts_with_all = ["headless", "no_draw", "settle", "frames", "report", "export_view", "minutes"])]
+    pub window: bool,
+
     /// Size of the picture or the window, pixels.
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
     pub size: [u32; 2],
@@ -257,7 +261,7 @@ impl Args {
     /// True when no window is wanted.
     pub fn without_window(&self) -> bool {
         let files = [&self.frames, &self.stats, &self.report].iter().any(|path| path.is_some());
-        self.headless || self.no_draw || self.settle || files || !self.export_view.is_empty()
+        !self.window && (self.headless || self.no_draw || self.settle || files || !self.export_view.is_empty())
     }
 
     /// The detail asked for.

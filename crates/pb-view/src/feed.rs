@@ -21,6 +21,11 @@ const READERS: usize = 4;
 /// Most threads that decode; they leave half of the processor to the frame.
 const MAX_DECODERS: usize = 8;
 
+/// Threads that decode are this nice to those that draw: on few processors a frame would wait for chunks that it does not
+/// need.
+#[cfg(target_os = "linux")]
+const DECODER_NICENESS: i32 = 5;
+
 /// A chunk in memory.
 #[derive(Clone)]
 pub enum Loaded {
@@ -108,6 +113,12 @@ impl Source for ArchiveSource {
             false => self.model.decode(chunk, bytes).map(Loaded::Geometry),
         };
         loaded.map_err(|e| e.to_string())
+    }
+
+    fn begin_decoding(&self) {
+        // On Linux this is the thread's own niceness. Where it is refused, frames and decoding share as equals.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::process::setpriority_process(None, DECODER_NICENESS);
     }
 
     fn will_need(&self, extent: Extent) {

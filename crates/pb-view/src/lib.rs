@@ -23,6 +23,7 @@ mod size;
 mod stage;
 mod stats;
 pub mod streaming;
+mod upload_pace;
 mod window;
 
 /// Runs the program.

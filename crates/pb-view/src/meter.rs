@@ -28,6 +28,8 @@ pub struct Times {
     pub select_ms: f64,
     /// Carrying these out: requests, uploads, frees.
     pub carry_out_ms: f64,
+    /// The uploads' part of it.
+    pub upload_ms: f64,
 }
 
 /// The last load of a chunk.
@@ -52,19 +54,21 @@ pub struct Meter {
     traffic: Traffic,
     select: Duration,
     carry_out: Duration,
+    upload: Duration,
 }
 
 impl Meter {
     /// For so many chunks.
     pub fn new(chunks: usize) -> Self {
-        let (select, carry_out) = (Duration::ZERO, Duration::ZERO);
+        let (select, carry_out, upload) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
         let (loads, needed_at) = (vec![Load::Settled; chunks], vec![0; chunks]);
-        Self { loads, needed_at, steps: 0, traffic: Traffic::default(), select, carry_out }
+        Self { loads, needed_at, steps: 0, traffic: Traffic::default(), select, carry_out, upload }
     }
 
     /// A frame begins: all counts are zero.
     pub fn begin_frame(&mut self) {
         (self.traffic, self.select, self.carry_out) = (Traffic::default(), Duration::ZERO, Duration::ZERO);
+        self.upload = Duration::ZERO;
     }
 
     /// The wants of a step, most urgent first; `stored_bytes` of a chunk that is in memory or on the adapter, none of
@@ -109,9 +113,15 @@ impl Meter {
         self.loads[chunk.0 as usize] = Load::Settled;
     }
 
-    /// A chunk of so many decoded bytes went to the adapter.
-    pub fn uploaded(&mut self, bytes: u64) {
+    /// A chunk of so many decoded bytes went to the adapter, from `start` until now.
+    pub fn uploaded(&mut self, bytes: u64, start: Instant) {
         self.traffic.upload_bytes += bytes;
+        self.upload += start.elapsed();
+    }
+
+    /// What uploads took since the frame began.
+    pub fn upload_time(&self) -> Duration {
+        self.upload
     }
 
     /// A step decided from `start` to `decided`, and has carried it out now.
@@ -128,7 +138,7 @@ impl Meter {
     /// Times since the frame began.
     pub fn times(&self) -> Times {
         let ms = |d: Duration| d.as_secs_f64() * 1e3;
-        Times { select_ms: ms(self.select), carry_out_ms: ms(self.carry_out) }
+        Times { select_ms: ms(self.select), carry_out_ms: ms(self.carry_out), upload_ms: ms(self.upload) }
     }
 }
 

@@ -78,7 +78,7 @@ const fn column(name: &'static str, decimals: usize, value: fn(&Line) -> f64) ->
 }
 
 /// All columns, in the order of the file. New ones go to the end. docs/user-guide.md says what they mean.
-pub const COLUMNS: [Column; 27] = [
+pub const COLUMNS: [Column; 28] = [
     column("frame", 0, |l| l.frame.into()),
     column("t_secs", 6, |l| l.t_secs),
     column("frame_ms", 3, |l| l.frame_ms),
@@ -106,6 +106,7 @@ pub const COLUMNS: [Column; 27] = [
     column("rss_bytes", 0, |l| l.memory.rss_bytes as f64),
     column("rss_private_bytes", 0, |l| l.memory.private_bytes as f64),
     column("cut", 0, |l| l.cut.into()),
+    column("upload_ms", 3, |l| l.stats.times.upload_ms),
 ];
 
 impl Column {

@@ -25,6 +25,7 @@ use crate::meter::Meter;
 use crate::navigate::Subject;
 use crate::prefetch::{Expected, Latency};
 use crate::stats::FrameStats;
+use crate::upload_pace::UploadPace;
 
 /// Near plane over the model's diameter. Depth is reversed float, so that a small one costs nothing.
 const NEAR: f64 = 1e-6;
@@ -135,6 +136,8 @@ pub struct Streaming {
     asked_at: BTreeMap<pb_stream::ChunkId, f64>,
     latency: Latency,
     meter: Meter,
+    /// Where frames follow the wall clock.
+    upload_pace: Option<UploadPace>,
     near: f64,
 }
 
@@ -172,6 +175,7 @@ impl Streaming {
             asked_at: BTreeMap::new(),
             latency: Latency::default(),
             meter: Meter::new(chunks),
+            upload_pace: None,
             near: s.radius * 2.0 * NEAR,
             model,
         })
@@ -190,6 +194,10 @@ impl Streaming {
             self.accept(chunk, result);
         }
         self.step(adapter, moment, moment.dt_secs);
+        if let Some(mut pace) = self.upload_pace {
+            pace.add(moment.dt_secs, self.meter.traffic().upload_bytes, self.meter.upload_time());
+            self.set_upload_pace(pace);
+        }
     }
 
     /// One frame that waits until all that is wanted and fits is here, and floors stand still.
@@ -272,16 +280,28 @@ impl Streaming {
             Command::Withdraw(_) => unreachable!("carried out together"),
             Command::Upload(chunk) => {
                 let data = self.decoded[chunk.0 as usize].as_ref().expect("the cache uploads what is in RAM");
-                let id = ChunkId(chunk.0);
+                let (id, start) = (ChunkId(chunk.0), Instant::now());
                 match adapter.upload(id, data) {
                     true => {
-                        self.meter.uploaded(self.model.decoded_bytes(id) as u64);
+                        self.meter.uploaded(self.model.decoded_bytes(id) as u64, start);
                         self.cache.uploaded(chunk);
                     }
                     false => self.cache.upload_failed(chunk),
                 }
             }
         }
+    }
+
+    /// From now on uploads are limited in time, by what the last ones took.
+    pub fn pace_uploads(&mut self) {
+        self.set_upload_pace(UploadPace::default());
+    }
+
+    fn set_upload_pace(&mut self, pace: UploadPace) {
+        if pace.limit_bytes() != self.cache.limits().upload_bytes_per_frame {
+            self.cache.limit_uploads(pace.limit_bytes());
+        }
+        self.upload_pace = Some(pace);
     }
 
     /// From now on all that happens to the cache is written down, for a replay.

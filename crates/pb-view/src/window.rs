@@ -23,6 +23,7 @@ use crate::prefetch::Prefetcher;
 use crate::screen::{Next, Screen};
 use crate::size::show_bytes;
 use crate::stage::Stage;
+use crate::stats::{Line, ProcessMemory, StatsFile};
 use crate::streaming::{Moment, open_model, subject};
 
 /// Vertical field of view by hand, degrees.
@@ -118,6 +119,7 @@ struct Shown {
     push: Push,
     buttons: Buttons,
     clock: Clock,
+    stats: Option<StatsFile>,
 }
 
 /// Which mouse buttons are down, and where the pointer was.
@@ -132,7 +134,9 @@ struct Clock {
     start: Instant,
     last: Instant,
     status: Instant,
+    /// Since the status line was set, and since the start.
     frames: u32,
+    all_frames: u32,
 }
 
 impl Shown {
@@ -150,6 +154,7 @@ impl Shown {
         if let Some(disk) = args.disk_model {
             stage.streaming.feed.set_disk(disk, DiskClock::Wall);
         }
+        stage.streaming.pace_uploads();
         let mut navigator = Navigator::new(subject, FOV_DEG);
         navigator.fit(screen.aspect());
         let now = Instant::now();
@@ -171,7 +176,8 @@ impl Shown {
             frame_rate: FrameRate::new(args.target_fps),
             push: Push::default(),
             buttons: Buttons::default(),
-            clock: Clock { start: now, last: now, status: now, frames: 0 },
+            clock: Clock { start: now, last: now, status: now, frames: 0, all_frames: 0 },
+            stats: args.stats.as_deref().map(StatsFile::create).transpose()?,
         })
     }
 
@@ -313,6 +319,7 @@ impl Shown {
     }
 
     fn frame(&mut self) -> Result<()> {
+        let start = Instant::now();
         let picture = match self.screen.next(&self.gpu, self.window.inner_size().into())? {
             Next::Picture(picture) => picture,
             Next::Later => {
@@ -335,7 +342,9 @@ impl Shown {
         self.stage.advance(&self.gpu, &moment);
         let color = picture.texture.create_view(&Default::default());
         let surface = Surface { color: &color, canvas: &self.screen.canvas };
+        let drawing = Instant::now();
         self.stage.draw(&self.gpu, &surface, &moment, self.style);
+        let draw_ms = drawing.elapsed().as_secs_f64() * 1e3;
         self.status(now);
         self.overlay.draw(&self.gpu, &color, size);
         self.window.pre_present_notify();
@@ -346,12 +355,23 @@ impl Shown {
             let drawn = self.stage.streaming.detail(&moment);
             self.frame_rate.add(now.elapsed().as_secs_f64(), dt_secs, self.detail, drawn);
         }
+        self.write_stats(start, draw_ms)?;
         let moving = self.push != Push { fast: self.push.fast, ..Push::default() };
         let flying = self.playing.as_ref().is_some_and(|p| !p.paused);
         if moving || flying || !self.stage.streaming.settled() {
             self.window.request_redraw();
         }
         Ok(())
+    }
+
+    /// A line of --stats: the frame's time is that from asking for a picture to draw into to handing it over.
+    fn write_stats(&mut self, start: Instant, draw_ms: f64) -> Result<()> {
+        let frame = self.clock.all_frames;
+        self.clock.all_frames += 1;
+        let Some(file) = &mut self.stats else { return Ok(()) };
+        let (t_secs, frame_ms) = ((start - self.clock.start).as_secs_f64(), start.elapsed().as_secs_f64() * 1e3);
+        let (memory, stats) = (ProcessMemory::now(), self.stage.stats());
+        file.add(&Line { frame, t_secs, frame_ms, draw_ms, cut: frame == 0, memory, stats })
     }
 
     /// The camera of this frame: from the flight, or from the hand.
@@ -411,6 +431,9 @@ impl Shown {
             let keys = keys.into_iter().map(|k| Keyframe { t: k.t - t0, ..k }).collect();
             let flight = Flypath::new(60.0, keys).map_err(|e| anyhow::anyhow!("the path flown is no flypath: {e}"))?;
             flight.write(path)?;
+        }
+        if let Some(stats) = self.stats.take() {
+            stats.finish()?;
         }
         Ok(if self.stage.streaming.damaged_chunks() == 0 { Outcome::Done } else { Outcome::Damaged })
     }
