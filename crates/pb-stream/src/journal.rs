@@ -306,6 +306,29 @@ mod tests {
     }
 
     #[test]
+    fn a_limit_on_uploads_that_changes_is_replayed() {
+        let chunk = ChunkInfo { ram_bytes: 100, vram_bytes: 100, pool: 0, coarser: None, pinned: false };
+        let mut cache = Recorded::new(vec![chunk; 3], Limits::new(400, [400; POOLS])).unwrap();
+        let out = Shared::default();
+        cache.record(Box::new(out.clone()));
+        cache.limit_uploads(200);
+        let wants = [0, 1, 2].map(|c| Want { chunk: ChunkId(c), class: Class::Now, error_px: 1.0 });
+        cache.frame(&wants, &[]);
+        (0..3).for_each(|c| cache.loaded(ChunkId(c)));
+        let uploads = cache.frame(&wants, &[]);
+        assert_eq!(uploads, [Command::Upload(ChunkId(0)), Command::Upload(ChunkId(1))]);
+        (0..2).for_each(|c| cache.uploaded(ChunkId(c)));
+        cache.limit_uploads(1);
+        assert_eq!(cache.frame(&wants, &[]), [Command::Upload(ChunkId(2))], "one chunk always passes");
+        cache.finish_recording().unwrap();
+        let text = String::from_utf8(out.0.lock().unwrap().clone()).unwrap();
+        assert_eq!(replay(text.as_bytes()).unwrap().frames, 3);
+        let without: String =
+            text.lines().filter(|l| !l.contains("LimitUploads")).map(|l| l.to_owned() + "\n").collect();
+        assert!(matches!(replay(without.as_bytes()), Err(ReplayError::Differs { frame: 2, .. })));
+    }
+
+    #[test]
     fn a_run_that_goes_otherwise_is_noticed_with_its_place() {
         let text = recorded();
         let other = text.replacen("{\"Load\":2}", "{\"Load\":1}", 1);

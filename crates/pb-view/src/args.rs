@@ -409,6 +409,13 @@ mod tests {
     }
 
     #[test]
+    fn statistics_are_those_of_a_flight_without_a_window_unless_one_is_asked_for() {
+        assert!(parse(&["--stats", "s.csv"]).unwrap().without_window());
+        assert!(!parse(&["--stats", "s.csv", "--window"]).unwrap().without_window());
+        assert!(parse(&["--window", "--headless"]).is_err());
+    }
+
+    #[test]
     fn wrong_values_say_what_is_right() {
         let cases: [(&[&str], &str); 9] = [
             (&["--target-fps", "0"], "0.1 to 1000"),

@@ -254,3 +254,39 @@ fn a_full_queue_refuses() {
     drop(held);
     assert_eq!(loader.drain().len(), accepted);
 }
+
+#[test]
+fn each_thread_that_decodes_says_so_before_its_first_chunk() {
+    struct Counted(Arc<AtomicUsize>);
+
+    impl Source for Counted {
+        type Payload = usize;
+
+        fn extent(&self, chunk: ChunkId) -> Extent {
+            Extent { offset: u64::from(chunk.0), bytes: 1 }
+        }
+
+        fn read(&self, extent: Extent) -> Result<Vec<u8>, String> {
+            Ok(vec![0; extent.bytes as usize])
+        }
+
+        fn decode(&self, _: ChunkId, _: &[u8]) -> LoadResult<usize> {
+            Ok(self.0.load(Ordering::SeqCst))
+        }
+
+        fn begin_decoding(&self) {
+            self.0.fetch_add(1, Ordering::SeqCst);
+        }
+
+        fn will_need(&self, _: Extent) {}
+    }
+
+    let begun = Arc::new(AtomicUsize::new(0));
+    let mut loader = Loader::new(Threads { read: 1, decode: 3 }, Counted(begun.clone()));
+    (0..20).for_each(|c| loader.request(ChunkId(c)).unwrap());
+    for (_, result) in loader.drain() {
+        assert!(result.unwrap() > 0, "decoded before the thread said so");
+    }
+    drop(loader);
+    assert_eq!(begun.load(Ordering::SeqCst), 3);
+}
