@@ -1,8 +1,12 @@
 //! Bad luck while flying: archives that are cut, replaced or written over, and slow disks.
 
 use crate::support::{Run, adapter, column, folder, pb_view_line, small_torus, text, torus, write_flight};
-use pb_view::feed::{DiskClock, Feed};
-use pb_view::streaming::open_model;
+use glam::DVec3;
+use pb_lod::plan::{ChunkId, Detail};
+use pb_stream::disk::DiskModel;
+use pb_view::feed::{DiskClock, Feed, Loaded};
+use pb_view::flypath::Keyframe;
+use pb_view::streaming::{Adapter, Bounds, Moment, Streaming, VramCosts, model_tables, open_model};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -176,4 +180,41 @@ fn in_a_window_a_slow_disk_takes_its_time() {
     assert!(arrived.len() == 3 && arrived.iter().all(|a| a.1.is_ok()));
     let stats = feed.stats();
     assert!(stats.reads >= 1 && start.elapsed() >= Duration::from_millis(15 * stats.reads), "{stats:?}");
+}
+
+/// Takes its time for each chunk.
+struct SlowAdapter;
+
+impl Adapter for SlowAdapter {
+    fn upload(&mut self, _: ChunkId, _: &Loaded) -> bool {
+        std::thread::sleep(std::time::Duration::from_micros(100));
+        true
+    }
+
+    fn free(&mut self, _: ChunkId) {}
+}
+
+#[test]
+fn only_where_uploads_are_paced_does_the_clock_limit_their_bytes() {
+    let key = Keyframe { t: 0.0, eye: [3.4, 1.5, 2.5].into(), target: DVec3::X, up: DVec3::Y, fov_deg: 50.0 };
+    let moment = Moment { key, size: [640, 360], detail: Detail::ErrorPx(0.5), dt_secs: 0.02 };
+    let limits_of = |paced: bool| {
+        let model = open_model(small_torus()).unwrap();
+        let costs = VramCosts { chunks: model_tables(&model).chunk_vram_bytes(), budgets: [1 << 30, 0] };
+        let bounds = Bounds { vram_bytes: 1 << 30, ram_bytes: 1 << 30, max_triangles: u64::MAX };
+        let feed = Feed::unread(model.clone(), DiskModel::default());
+        let mut streaming = Streaming::new(model, &costs, bounds, feed).unwrap();
+        let run = folder("paced").join("run.jsonl");
+        streaming.record_cache(&run).unwrap();
+        if paced {
+            streaming.pace_uploads();
+        }
+        (0..50).for_each(|_| streaming.advance(&mut SlowAdapter, &moment));
+        streaming.finish_recording().unwrap();
+        let text = std::fs::read_to_string(run).unwrap();
+        assert!(text.contains("\"Uploaded\""), "nothing was uploaded");
+        text.matches("LimitUploads").count()
+    };
+    assert_eq!(limits_of(false), 0);
+    assert!(limits_of(true) > 1, "the limit follows what uploads take");
 }
