@@ -135,6 +135,10 @@ pub struct Plan {
     pub texture_floors: Vec<f32>,
     /// The detail after the budget was applied.
     pub detail: Option<Detail>,
+    /// The same for textures: it may be coarser, because their memory has a budget of its own. None without textures.
+    pub texture_detail: Option<Detail>,
+    /// The detail in use is coarser than the bounds allow, because data for more is still to come.
+    pub rising: bool,
     /// Largest projected error of what is drawn, pixels.
     pub error_px: f32,
     /// Triangles of all draws and coarse ranges.

@@ -6,6 +6,7 @@
 //! Must never: decide anything; what it counts goes into reports only.
 
 use pb_lod::plan::{ChunkId, Class, Want};
+use pb_stream::loader::LoadStats;
 use std::time::{Duration, Instant};
 
 /// Bytes of one frame. Those from disk are stored bytes, those to the adapter are decoded ones.
@@ -19,6 +20,10 @@ pub struct Traffic {
     pub needed_bytes: u64,
     /// Chunks copied to the adapter.
     pub upload_bytes: u64,
+    /// Reads that were begun.
+    pub reads: u64,
+    /// Their bytes: also what lies between chunks, and what was read twice.
+    pub read_bytes: u64,
 }
 
 /// Milliseconds of one frame on the thread that draws.
@@ -52,6 +57,8 @@ pub struct Meter {
     needed_at: Vec<u64>,
     steps: u64,
     traffic: Traffic,
+    /// Up to the last frame.
+    loads_before: LoadStats,
     select: Duration,
     carry_out: Duration,
     upload: Duration,
@@ -62,7 +69,16 @@ impl Meter {
     pub fn new(chunks: usize) -> Self {
         let (select, carry_out, upload) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
         let (loads, needed_at) = (vec![Load::Settled; chunks], vec![0; chunks]);
-        Self { loads, needed_at, steps: 0, traffic: Traffic::default(), select, carry_out, upload }
+        Self {
+            loads,
+            needed_at,
+            steps: 0,
+            traffic: Traffic::default(),
+            loads_before: LoadStats::default(),
+            select,
+            carry_out,
+            upload,
+        }
     }
 
     /// A frame begins: all counts are zero.
@@ -106,6 +122,13 @@ impl Meter {
         self.traffic.prefetch_bytes += if ahead { stored_bytes } else { 0 };
         self.traffic.needed_bytes += if needed { stored_bytes } else { 0 };
         *load = if needed { Load::Settled } else { Load::Ahead };
+    }
+
+    /// What was read since the start.
+    pub fn loads(&mut self, all: LoadStats) {
+        self.traffic.reads += all.reads - self.loads_before.reads;
+        self.traffic.read_bytes += all.bytes_read - self.loads_before.bytes_read;
+        self.loads_before = all;
     }
 
     /// A chunk that was asked for will not be read.

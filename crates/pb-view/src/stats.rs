@@ -36,6 +36,10 @@ pub struct FrameStats {
     pub wanted_chunks: u32,
     /// Textures among the missing chunks.
     pub missing_textures: u32,
+    /// Error that selection allowed of texels, pixels; 0 with bands and without textures.
+    pub allowed_texel_error_px: f32,
+    /// The detail is coarser than the bounds allow: data for more is still to come.
+    pub rising: bool,
     /// Late data is still fading in, or leaving data out.
     pub fading: bool,
     /// Loads asked for and not answered.
@@ -78,7 +82,7 @@ const fn column(name: &'static str, decimals: usize, value: fn(&Line) -> f64) ->
 }
 
 /// All columns, in the order of the file. New ones go to the end. docs/user-guide.md says what they mean.
-pub const COLUMNS: [Column; 28] = [
+pub const COLUMNS: [Column; 32] = [
     column("frame", 0, |l| l.frame.into()),
     column("t_secs", 6, |l| l.t_secs),
     column("frame_ms", 3, |l| l.frame_ms),
@@ -107,6 +111,10 @@ pub const COLUMNS: [Column; 28] = [
     column("rss_private_bytes", 0, |l| l.memory.private_bytes as f64),
     column("cut", 0, |l| l.cut.into()),
     column("upload_ms", 3, |l| l.stats.times.upload_ms),
+    column("reads", 0, |l| l.stats.traffic.reads as f64),
+    column("read_bytes", 0, |l| l.stats.traffic.read_bytes as f64),
+    column("rising", 0, |l| l.stats.rising.into()),
+    column("allowed_texel_error_px", 4, |l| l.stats.allowed_texel_error_px.into()),
 ];
 
 impl Column {

@@ -255,6 +255,7 @@ impl Streaming {
             self.meter.withdrawn(ChunkId(chunk.0));
             self.cache.load_withdrawn(chunk);
         }
+        self.meter.loads(self.feed.stats());
         self.meter.step(start, decided);
     }
 
@@ -417,6 +418,11 @@ impl Streaming {
             texture_vram_bytes: 0,
             wanted_chunks: now.clone().count() as u32,
             missing_textures: now.filter(absent).filter(|w| self.model.is_texture(w.chunk)).count() as u32,
+            allowed_texel_error_px: match self.plan.texture_detail {
+                Some(Detail::ErrorPx(tau)) => tau,
+                _ => 0.0,
+            },
+            rising: self.plan.rising,
             fading: !self.plan.floors_stand,
             loads_in_flight: self.cache.stats().loads_in_flight,
             traffic: self.meter.traffic(),

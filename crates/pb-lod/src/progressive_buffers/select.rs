@@ -126,6 +126,8 @@ impl Selector {
             self.want_ahead(&later, Class::Maybe, targets, frame, &mut plan);
         }
         self.order_wants(frame, &mut plan);
+        plan.texture_detail = self.tables.has_textures().then_some(texels.detail);
+        plan.rising = self.controls.iter().any(DetailControl::rises);
         plan.floors = self.floors.all().to_vec();
         plan.floors_stand = floors_stand;
         plan.settled = floors_stand && self.controls.iter().all(DetailControl::settled) && plan.missing_chunks == 0;

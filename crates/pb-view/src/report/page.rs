@@ -188,9 +188,12 @@ const ROWS: [Row; 14] = [
         format!("{}; after the first second {after}, at most {max_after_start} missing", percent(complete_share))
     }),
     ("disk to memory (stored)", |s| {
-        let Bytes { disk_bytes, prefetch_bytes, needed_bytes, extra_share, .. } = s.bytes;
-        let [disk, ahead, needed] = [disk_bytes, prefetch_bytes, needed_bytes].map(show_bytes);
-        format!("{disk}, {ahead} of it ahead of need; {needed} were needed, so {} extra", percent(extra_share))
+        let Bytes { disk_bytes, prefetch_bytes, needed_bytes, read_bytes, reads, extra_share, .. } = s.bytes;
+        let [disk, ahead, needed, read] = [disk_bytes, prefetch_bytes, needed_bytes, read_bytes].map(show_bytes);
+        format!(
+            "{disk}, {ahead} of it ahead of need, in {reads} reads of {read} together; {needed} were needed, so {} extra",
+            percent(extra_share)
+        )
     }),
     ("memory to adapter (decoded)", |s| show_bytes(s.bytes.upload_bytes)),
     ("full detail at the start", |s| s.cuts.first().map_or(String::new(), cut_text)),

@@ -95,13 +95,19 @@ pub struct Bytes {
     pub prefetch_bytes: u64,
     /// Needed by a view sooner or later.
     pub needed_bytes: u64,
+    /// All that was read, with what lies between chunks.
+    #[serde(default)]
+    pub read_bytes: u64,
+    /// How many reads that took.
+    #[serde(default)]
+    pub reads: u64,
     /// What was read and not needed, over what was needed.
     pub extra_share: f64,
     /// Decoded bytes copied to the adapter.
     pub upload_bytes: u64,
 }
 
-/// How long a cut took to reach full detail: nothing is missing, and what came late has faded in.
+/// How long a cut took to reach full detail: nothing is missing, all that fits is drawn, what came late has faded in.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cut {
     /// First frame after the jump.
@@ -217,11 +223,14 @@ fn missing(table: &Table) -> Missing {
 fn bytes(table: &Table) -> Bytes {
     let sum = |name: &str| table.column(name).iter().sum::<f64>() as u64;
     let (disk_bytes, needed_bytes) = (sum("disk_bytes"), sum("needed_bytes"));
+    let read_bytes = sum("read_bytes");
     Bytes {
         disk_bytes,
         prefetch_bytes: sum("prefetch_bytes"),
         needed_bytes,
-        extra_share: disk_bytes.saturating_sub(needed_bytes) as f64 / needed_bytes.max(1) as f64,
+        read_bytes,
+        reads: sum("reads"),
+        extra_share: read_bytes.saturating_sub(needed_bytes) as f64 / needed_bytes.max(1) as f64,
         upload_bytes: sum("upload_bytes"),
     }
 }
@@ -234,7 +243,7 @@ fn cuts(table: &Table) -> Vec<Cut> {
     let cut = |(begin, end): (&usize, usize)| {
         let begin = *begin;
         let complete = |i: &usize| column("missing_chunks")[*i] == 0.0;
-        let full = |i: &usize| complete(i) && column("fading")[*i] == 0.0;
+        let full = |i: &usize| complete(i) && column("fading")[*i] == 0.0 && column("rising")[*i] == 0.0;
         let ms = |to: usize| frame_ms[begin..=to].iter().sum::<f64>();
         let (complete, full) = ((begin..end).find(complete), (begin..end).find(full));
         Cut {
@@ -275,7 +284,8 @@ mod tests {
                 vram_bytes: 100 + i as u64,
                 missing_chunks: if i < 3 || (12..14).contains(&i) { 5 } else { 0 },
                 fading: i < 4 || (12..20).contains(&i),
-                traffic: Traffic { disk_bytes: 130, needed_bytes: 100, ..Traffic::default() },
+                traffic: Traffic { disk_bytes: 120, read_bytes: 130, needed_bytes: 100, ..Traffic::default() },
+                rising: i == 4,
                 ..FrameStats::default()
             };
             let t_secs = i as f64 * 0.1 + if i < 10 { 0.0 } else { 1.0 };
@@ -292,7 +302,7 @@ mod tests {
         assert_eq!((s.vram.peak_bytes, s.vram.mean_bytes, s.vram.frames_above), (119, 109, 9));
         assert_eq!(s.missing.complete_share, 0.75);
         assert_eq!((s.missing.complete_share_after_start, s.missing.incomplete_frames_after_start), (0.8, 2));
-        assert_eq!((s.bytes.disk_bytes, s.bytes.needed_bytes, s.bytes.extra_share), (2600, 2000, 0.3));
+        assert_eq!((s.bytes.disk_bytes, s.bytes.needed_bytes, s.bytes.extra_share), (2400, 2000, 0.3));
     }
 
     #[test]
@@ -300,7 +310,7 @@ mod tests {
         let cuts = Summary::new(&table(), &Bounds { vram_bytes: 1, ram_bytes: 1, ..Bounds::default() }).cuts;
         assert_eq!(cuts.iter().map(|c| c.frame).collect::<Vec<_>>(), [0, 12]);
         assert_eq!((cuts[0].frames_to_complete, cuts[0].ms_to_complete), (Some(3), Some(80.0)));
-        assert_eq!((cuts[0].frames_to_full, cuts[0].ms_to_full), (Some(4), Some(100.0)));
+        assert_eq!((cuts[0].frames_to_full, cuts[0].ms_to_full), (Some(5), Some(120.0)));
         assert_eq!((cuts[1].frames_to_complete, cuts[1].ms_to_full), (Some(2), None));
     }
 }

@@ -43,6 +43,7 @@ impl Target {
 pub(super) struct DetailControl {
     last: Option<(Detail, f64)>,
     settled: bool,
+    rises: bool,
     /// The target was reached once.
     arrived: bool,
     /// How long the next step has waited for data, seconds.
@@ -78,6 +79,7 @@ impl DetailControl {
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
+        self.rises = gain > target;
         self.arrived |= gain <= target;
         (at(target), at(gain))
     }
@@ -114,6 +116,11 @@ impl DetailControl {
     /// True when the detail in use is the one that the budget allows.
     pub fn settled(&self) -> bool {
         self.settled
+    }
+
+    /// True when a finer detail would fit.
+    pub fn rises(&self) -> bool {
+        self.rises
     }
 
     /// The gain over what is asked for now that continues the detail of the last frame.
