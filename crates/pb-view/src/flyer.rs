@@ -6,7 +6,7 @@ use pb_lod::plan::ChunkId;
 use pb_lod::progressive_buffers::model::Model;
 use pb_render::{AdapterLimits, Gpu, Offscreen, PictureFormat, Style, VramPlan};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::args::Args;
 use crate::feed::{DiskClock, Feed};
@@ -27,6 +27,7 @@ pub struct Drawn {
     gpu: Gpu,
     target: Offscreen,
     stage: Stage,
+    adapter_time: Duration,
 }
 
 /// A model whose chunks come and go as if it were drawn.
@@ -43,7 +44,9 @@ impl Flyer {
         if args.no_draw {
             return Ok(Self::Undrawn(Box::new(Undrawn::new(args, model)?)));
         }
+        let start = Instant::now();
         let mut gpu = Gpu::headless()?;
+        let adapter_time = start.elapsed();
         gpu.texture_blocks = args.textures.blocks(&gpu);
         if args.wireframe && !gpu.wireframe {
             eprintln!("pb-view: warning: the graphics adapter cannot draw lines; surfaces are drawn filled");
@@ -58,7 +61,7 @@ impl Flyer {
         if args.plain_draws {
             stage.renderer.set_multi_draw(&gpu, false);
         }
-        Ok(Self::Drawn(Box::new(Drawn { gpu, target, stage })))
+        Ok(Self::Drawn(Box::new(Drawn { gpu, target, stage, adapter_time })))
     }
 
     /// What is here, and what is under way.
@@ -82,6 +85,14 @@ impl Flyer {
         match self {
             Self::Drawn(d) => Some(&d.gpu),
             Self::Undrawn(_) => None,
+        }
+    }
+
+    /// How long it took to find the graphics adapter and to make a device of it.
+    pub fn adapter_time(&self) -> Duration {
+        match self {
+            Self::Drawn(d) => d.adapter_time,
+            Self::Undrawn(_) => Duration::ZERO,
         }
     }
 

@@ -15,6 +15,7 @@ use crate::flypath::{Flypath, default_flight};
 use crate::frame_rate::FrameRate;
 use crate::prefetch::Prefetcher;
 use crate::report::cuts::is_cut;
+use crate::report::runs::StartTimes;
 use crate::report::{self, Report};
 use crate::size::show_bytes;
 use crate::stats::{Line, ProcessMemory, StatsFile};
@@ -25,6 +26,7 @@ const FOV_DEG: f64 = 50.0;
 
 /// Flies the flypath, or the default one, and writes what `args` asks for.
 pub fn run(args: &Args) -> Result<Outcome> {
+    let begin = Instant::now();
     let flight = args.flypath.as_deref().map(Flypath::open).transpose()?;
     let model = open_model(&args.archive)?;
     let flight = flight.unwrap_or_else(|| {
@@ -53,6 +55,11 @@ pub fn run(args: &Args) -> Result<Outcome> {
     };
     for frame in (0..).take_while(|&frame| more(frame)) {
         total.add(&run.frame(&mut flyer, &flight, frame)?);
+        if frame == 0 {
+            let start = StartTimes::new(begin.elapsed(), flyer.adapter_time());
+            total.start = start;
+            run.report.iter_mut().for_each(|r| r.started(start));
+        }
     }
     if let Some(stats) = run.stats {
         stats.finish()?;
@@ -138,6 +145,7 @@ fn export_view(streaming: &Streaming, moment: &Moment, path: &Path) -> Result<()
 /// Sums for the line at the end.
 #[derive(Default)]
 struct Total {
+    start: StartTimes,
     frames: u32,
     ms: f64,
     triangles: u64,
@@ -163,6 +171,9 @@ impl Total {
             show_bytes(self.vram_bytes),
             show_bytes(self.ram_bytes)
         );
+        let StartTimes { adapter_ms, first_picture_ms } = self.start;
+        text +=
+            &format!("first picture after {first_picture_ms:.0} ms, and {adapter_ms:.0} ms for the graphics adapter\n");
         for (what, path) in files {
             if let Some(path) = path {
                 text += &format!("{what}: {}\n", path.display());

@@ -29,7 +29,7 @@ use crate::args::Args;
 use crate::flyer::Flyer;
 use crate::flypath::Flypath;
 use crate::stats::{Line, Table};
-use runs::{AdapterFacts, ArchiveFacts, Bounds, Facts, OtherRun, RunFacts};
+use runs::{AdapterFacts, ArchiveFacts, Bounds, Facts, OtherRun, RunFacts, StartTimes};
 use summary::Summary;
 use thumbs::Thumbs;
 
@@ -122,6 +122,7 @@ fn facts(label: String, args: &Args, flyer: &Flyer, flight: &Flypath) -> Facts {
             max_triangles: args.max_triangles,
             target_fps: args.target_fps,
         },
+        start: StartTimes::default(),
     }
 }
 
@@ -154,6 +155,11 @@ fn archive_facts(model: &Model) -> ArchiveFacts {
 }
 
 impl Report {
+    /// The first picture is there.
+    pub fn started(&mut self, start: StartTimes) {
+        self.facts.start = start;
+    }
+
     /// Adds a frame. True when its picture is wanted by [`Report::picture`].
     pub fn add(&mut self, line: &Line) -> bool {
         self.table.add(line);

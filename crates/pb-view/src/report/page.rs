@@ -84,7 +84,7 @@ fn subtitle(facts: &Facts) -> String {
         run.frames,
         run.width,
         run.height,
-        facts.adapter.name
+        if facts.adapter.name.is_empty() { "no adapter" } else { &facts.adapter.name }
     )
 }
 
@@ -263,7 +263,17 @@ fn facts_table(facts: &Facts) -> String {
             ),
         ),
         ("triangles per level", levels.join(" / ")),
-        ("adapter", format!("{} ({} {}{software})", adapter.name, adapter.backend, adapter.driver)),
+        (
+            "adapter",
+            match adapter.name.is_empty() {
+                true => "none: nothing was drawn or read".to_owned(),
+                false => format!("{} ({} {}{software})", adapter.name, adapter.backend, adapter.driver),
+            },
+        ),
+        (
+            "first picture",
+            format!("after {}, and {} for the adapter", ms(facts.start.first_picture_ms), ms(facts.start.adapter_ms)),
+        ),
         (
             "pictures",
             format!(

@@ -5,6 +5,7 @@ use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use std::path::Path;
+use std::time::Duration;
 
 use super::summary::Summary;
 use crate::stats::{COLUMNS, Table};
@@ -33,6 +34,26 @@ pub struct Facts {
     pub run: RunFacts,
     /// Within what.
     pub bounds: Bounds,
+    /// How it began.
+    #[serde(default)]
+    pub start: StartTimes,
+}
+
+/// From the start of the program to its first picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StartTimes {
+    /// Finding the graphics adapter and making a device of it.
+    pub adapter_ms: f64,
+    /// All else until the first picture is there.
+    pub first_picture_ms: f64,
+}
+
+impl StartTimes {
+    /// Of the time until the first picture, and the part of it that the adapter took.
+    pub fn new(all: Duration, adapter: Duration) -> Self {
+        let ms = |d: Duration| d.as_secs_f64() * 1e3;
+        Self { adapter_ms: ms(adapter), first_picture_ms: ms(all.saturating_sub(adapter)) }
+    }
 }
 
 /// An archive.
