@@ -35,7 +35,9 @@ fn main() {
             let city = City::new(clusters);
             let mut viewer = Viewer::new(&city, ahead);
             let cold: Vec<Times> = (0..COLD).map(|_| viewer.frame()).collect();
-            (0..FILL).for_each(|_| drop(viewer.frame()));
+            (0..FILL).for_each(|_| {
+                viewer.frame();
+            });
             let start = Instant::now();
             let steady: Vec<Times> = (0..STEADY).map(|_| viewer.frame()).collect();
             let secs = start.elapsed().as_secs_f64();
@@ -56,8 +58,8 @@ fn main() {
 }
 
 const HEADER: &str = "\
-| clusters | select | viewer | cache | commands | all: least | median | 99 % | cold: median | wants | draws | loads/frame |
-|---|---|---|---|---|---|---|---|---|---|---|---|";
+| clusters | select | viewer | cache | commands | all: least | median | 99 % | cold: median | wants | draws | loads/frame | missing/frame | fingerprint |
+|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
 
 fn row(clusters: u32, cold: &[Times], steady: &[Times], viewer: &Viewer) -> String {
     let parts = [Times::select, Times::viewer, Times::cache, Times::commands].map(|part| {
@@ -66,7 +68,7 @@ fn row(clusters: u32, cold: &[Times], steady: &[Times], viewer: &Viewer) -> Stri
     });
     let tally = viewer.tally();
     format!(
-        "| {clusters} | {} | {:.3} | **{:.3}** | {:.3} | {:.3} | {} | {} | {:.1} |",
+        "| {clusters} | {} | {:.3} | **{:.3}** | {:.3} | {:.3} | {} | {} | {:.1} | {:.1} | {:016x} |",
         parts.join(" | "),
         percentile(steady, Times::sum, 0.0),
         median(steady, Times::sum),
@@ -75,6 +77,8 @@ fn row(clusters: u32, cold: &[Times], steady: &[Times], viewer: &Viewer) -> Stri
         tally.wants,
         tally.draws,
         tally.loads as f64 / tally.frames as f64,
+        tally.missing as f64 / tally.frames as f64,
+        tally.fingerprint,
     )
 }
 

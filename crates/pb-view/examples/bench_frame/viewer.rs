@@ -82,6 +82,17 @@ pub struct Tally {
     pub loads: u64,
     pub wants: usize,
     pub draws: usize,
+    pub missing: u64,
+    /// Of all decisions so far: two builds that print the same decide the same.
+    pub fingerprint: u64,
+}
+
+impl Tally {
+    fn add(&mut self, numbers: impl IntoIterator<Item = u32>) {
+        for number in numbers {
+            self.fingerprint = (self.fingerprint ^ u64::from(number)).wrapping_mul(0x100_0000_01b3).rotate_left(29);
+        }
+    }
 }
 
 pub struct Viewer {
@@ -171,6 +182,7 @@ impl Viewer {
         let handed = Instant::now();
         let commands = self.cache.frame(&wants, &released);
         let decided = Instant::now();
+        let commands_copy = commands.clone();
         for command in commands {
             match command {
                 Command::Load(chunk) => {
@@ -185,10 +197,31 @@ impl Viewer {
         let carried = Instant::now();
         self.build(&key);
         let built = Instant::now();
-        (self.tally.wants, self.tally.draws) = (self.plan.wants.len(), self.plan.draws.len());
+        self.count(&commands_copy);
         let ms = |d: Duration| d.as_secs_f64() * 1e3;
         let viewer = (begun - start) + (handed - selected) + (carried - decided);
         Times([ms(selected - begun), ms(viewer), ms(decided - handed), ms(built - carried)])
+    }
+
+    fn count(&mut self, commands: &[Command]) {
+        let (plan, tally) = (&self.plan, &mut self.tally);
+        (tally.wants, tally.draws) = (plan.wants.len(), plan.draws.len());
+        tally.missing += u64::from(plan.missing_chunks);
+        tally.add(plan.draws.iter().flat_map(|d| [d.cluster, d.level]));
+        tally.add(plan.coarse.iter().flat_map(|r| [r.start, r.end]));
+        tally.add(plan.wants.iter().flat_map(|w| [w.chunk.0, w.class as u32, w.error_px.to_bits()]));
+        tally.add(plan.released.iter().map(|c| c.0));
+        tally.add(plan.floors.iter().chain(&plan.texture_floors).map(|f| f.to_bits()));
+        for command in commands {
+            tally.add(match *command {
+                Command::Load(c) => [0, c.0],
+                Command::Upload(c) => [1, c.0],
+                Command::DropRam(c) => [2, c.0],
+                Command::Retire(c) => [3, c.0],
+                Command::Keep(c) => [4, c.0],
+                Command::Free(c) => [5, c.0],
+            });
+        }
     }
 
     fn begin(&mut self, key: &Keyframe, expected: &Expected) -> Views {
