@@ -16,7 +16,8 @@ mod plan;
 mod state;
 
 use crate::{ChunkId, Want};
-use state::{Ram, Vram};
+use plan::Goals;
+use state::{Mark, Members, Ram, Vram};
 
 /// VRAM comes in pools that lend nothing to one another: a buffer for geometry, pages for textures.
 pub const POOLS: usize = 2;
@@ -125,18 +126,29 @@ pub struct Cache {
     failed: Vec<bool>,
     /// Loads that were asked for; those that were answered since are still among them.
     loading: Vec<ChunkId>,
-    /// Frame in which a chunk was last wanted.
-    last_wanted: Vec<u64>,
+    /// Per chunk: length of its chain of coarser ones, itself included.
+    depth: Vec<u8>,
+    marks: Vec<Mark>,
+    goals: Goals,
+    /// In RAM and loaded.
+    loaded: Members<1>,
+    /// In VRAM, by what [`Vram::list`] says.
+    in_vram: Members<{ state::LISTS }>,
     /// Per chunk: finer chunks that are in VRAM in any state.
     finer_in_vram: Vec<u32>,
     /// Per chunk: those of them that were not asked back.
     finer_staying: Vec<u32>,
     resident: Vec<bool>,
     retiring: Vec<bool>,
+    /// Chunks of which `resident` or `retiring` changed since somebody asked.
+    changes: Vec<ChunkId>,
     stats: CacheStats,
-    frame: u64,
+    /// Two years of them at 60 per second.
+    frame: u32,
     /// By pool: in VRAM and on the way there.
     vram_bytes: [u64; POOLS],
+    /// By pool: the part of them that stands in VRAM and was not asked back.
+    standing_bytes: [u64; POOLS],
     /// By pool: the part that uploads were refused for (a fragmented heap); shrinks again with time.
     lost_bytes: [u64; POOLS],
     /// Uploads that failed since one worked.
@@ -151,8 +163,8 @@ impl Cache {
     /// A cache with nothing in it.
     ///
     /// # Panics
-    /// If a chain of coarser chunks names a chunk that does not exist or of another pool, or a pinned chunk has a
-    /// coarser one that is not pinned.
+    /// If a chain of coarser chunks names a chunk that does not exist or of another pool, or is longer than 255, or a
+    /// pinned chunk has a coarser one that is not pinned.
     pub fn new(info: Vec<ChunkInfo>, limits: Limits) -> Result<Self, LimitsError> {
         let coarser = |c: &ChunkInfo| c.coarser.map(|c| info[c.0 as usize]);
         assert!(info.iter().all(|c| !c.pinned || coarser(c).is_none_or(|c| c.pinned)), "pinned chunks stand on others");
@@ -170,7 +182,14 @@ impl Cache {
             return Err(LimitsError::Ram { bound: limits.ram_bytes, needed: largest });
         }
         let n = info.len();
+        let chain = |c: usize| std::iter::successors(Some(c), |&c| info[c].coarser.map(|c| c.0 as usize));
+        let depth = |c| u8::try_from(chain(c).take(256).count()).expect("a chain has 255 chunks at most");
         Ok(Self {
+            depth: (0..n).map(depth).collect(),
+            marks: vec![Mark::default(); n],
+            goals: Goals::default(),
+            loaded: Members::new(n),
+            in_vram: Members::new(n),
             limits,
             info,
             pinned,
@@ -178,14 +197,15 @@ impl Cache {
             vram: vec![Vram::Absent; n],
             failed: vec![false; n],
             loading: Vec::new(),
-            last_wanted: vec![0; n],
             finer_in_vram: vec![0; n],
             finer_staying: vec![0; n],
             resident: vec![false; n],
             retiring: vec![false; n],
+            changes: Vec::new(),
             stats: CacheStats::default(),
             frame: 0,
             vram_bytes: [0; POOLS],
+            standing_bytes: [0; POOLS],
             lost_bytes: [0; POOLS],
             failures_in_a_row: 0,
             idle: false,
@@ -197,12 +217,14 @@ impl Cache {
     pub fn frame(&mut self, wants: &[Want], released: &[ChunkId]) -> Vec<Command> {
         self.frame += 1;
         let mut commands = Vec::new();
-        let goals = self.goals(wants);
-        self.keep_and_free(&goals, released, &mut commands);
+        let mut goals = std::mem::take(&mut self.goals);
+        self.set_goals(wants, &mut goals);
+        self.keep_and_free(released, &mut commands);
         self.retire(&goals, &mut commands);
         self.upload(&goals, &mut commands);
-        self.withdraw(&goals, &mut commands);
+        self.withdraw(&mut commands);
         self.load(&goals, &mut commands);
+        self.goals = goals;
         self.lost_bytes = self.lost_bytes.map(|lost| lost - lost.div_ceil(64));
         let s = &self.stats;
         let still = commands.is_empty() && s.loads_in_flight + s.uploads_in_flight + s.retiring == 0;
@@ -261,6 +283,13 @@ impl Cache {
     /// Per chunk: in VRAM, and the cache would like it back.
     pub fn retiring(&self) -> &[bool] {
         &self.retiring
+    }
+
+    /// Chunks of which [`resident`](Cache::resident) or [`retiring`](Cache::retiring) may have changed since the last call,
+    /// in the order of the changes; some of them more than once.
+    pub fn take_changes(&mut self, into: &mut Vec<ChunkId>) {
+        into.clear();
+        std::mem::swap(&mut self.changes, into);
     }
 
     /// True when the copy in RAM may be read.

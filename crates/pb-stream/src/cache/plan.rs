@@ -1,23 +1,28 @@
 //! One frame's decisions, in the order in which they make room for one another.
+//!
+//! Must never: look at every chunk of the archive. A frame costs what it wants, and what is in RAM and VRAM.
 
-use super::state::{Ram, Vram};
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+
+use super::state::{LEAVING, Ram, UPLOADING, Vram, resident_in};
 use super::{Cache, Command, POOLS};
 use crate::{ChunkId, Class, Want};
 
-/// What the wants of a frame come to.
+/// What the wants of a frame come to. Which chunks are in it stands in the cache's marks.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Goals {
-    /// Chunks that shall be in VRAM, coarser before finer, most urgent first; they fit together.
-    vram: Vec<ChunkId>,
-    /// Per chunk: is it in `vram`?
-    in_vram: Vec<bool>,
+    /// The wants in order of priority, pinned chunks first.
+    wants: Vec<Want>,
+    /// Of the chunks that shall be in VRAM, those that are not or are on their way: coarser before finer, most urgent
+    /// first. All that shall be there fit together.
+    lacking: Vec<ChunkId>,
     /// Chunks that shall be read into RAM or wait there, most urgent first; they fit together.
     ram: Vec<ChunkId>,
-    /// Per chunk: is it in `ram`?
-    in_ram: Vec<bool>,
-    /// All bytes of `vram`, by pool.
+    /// All bytes that shall be in VRAM, by pool.
     vram_bytes: [u64; POOLS],
-    /// Per chunk that is wanted: its place in order of priority, from 1; 0 for the others.
-    rank: Vec<u32>,
+    /// The part of them that is there.
+    standing_bytes: [u64; POOLS],
 }
 
 /// Half octaves of the error: within one, what is resident comes first, so that chunks of nearly equal errors do not
@@ -26,65 +31,108 @@ fn error_step(error_px: f32) -> i32 {
     (error_px.max(f32::MIN_POSITIVE).log2() * 2.0).floor() as i32
 }
 
+/// The smallest error in a half octave.
+fn least_error(step: i32) -> f32 {
+    let mut error = (step as f32 * 0.5).exp2().max(f32::MIN_POSITIVE);
+    while error_step(error) < step {
+        error = error.next_up();
+    }
+    while error > f32::MIN_POSITIVE && error_step(error.next_down()) >= step {
+        error = error.next_down();
+    }
+    error
+}
+
+/// Class, then error, then number: the order in which a view gives its wants.
+fn compare(a: &Want, b: &Want) -> Ordering {
+    b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
+}
+
 impl Cache {
     /// Greedy in order of priority; what does not fit is left out, and smaller things after it may still fit.
-    pub(super) fn goals(&mut self, wants: &[Want]) -> Goals {
-        let mut wants = wants.to_vec();
-        let key = |w: &Want| (w.class, error_step(w.error_px), self.resident[w.chunk.0 as usize]);
-        wants.sort_by(|a, b| key(b).cmp(&key(a)).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk)));
-        let n = self.info.len();
-        let mut goals = Goals {
-            vram: Vec::new(),
-            in_vram: vec![false; n],
-            ram: Vec::new(),
-            in_ram: vec![false; n],
-            vram_bytes: [0; POOLS],
-            rank: vec![0; n],
-        };
-        let pinned = self.pinned.iter().map(|&chunk| Want { chunk, class: Class::Now, error_px: f32::INFINITY });
-        let wants: Vec<Want> = pinned.chain(wants).collect();
-        for (rank, want) in wants.iter().enumerate() {
-            let place = want.chunk.0 as usize;
-            self.last_wanted[place] = self.frame;
-            if goals.rank[place] == 0 {
-                goals.rank[place] = rank as u32 + 1;
+    pub(super) fn set_goals(&mut self, wants: &[Want], goals: &mut Goals) {
+        (goals.vram_bytes, goals.standing_bytes) = ([0; POOLS], [0; POOLS]);
+        goals.lacking.clear();
+        goals.ram.clear();
+        self.order(wants, &mut goals.wants);
+        for at in 0..goals.wants.len() {
+            let want = goals.wants[at];
+            let mark = &mut self.marks[want.chunk.0 as usize];
+            if mark.wanted != self.frame {
+                (mark.wanted, mark.rank) = (self.frame, at as u32 + 1);
             }
-            if want.class >= Class::Soon {
-                self.add_chain(want.chunk, &mut goals);
+            if want.class >= Class::Soon && mark.vram != self.frame {
+                self.add_chain(want.chunk, goals);
             }
         }
-        self.add_ram(&wants, &mut goals);
-        goals
+        self.add_ram(goals);
+    }
+
+    /// Pinned chunks first, then by class, half octave of the error, residency, error.
+    fn order(&self, wants: &[Want], out: &mut Vec<Want>) {
+        out.clear();
+        out.extend(self.pinned.iter().map(|&chunk| Want { chunk, class: Class::Now, error_px: f32::INFINITY }));
+        let sorted: Vec<Want>;
+        let mut rest = wants;
+        if !wants.is_sorted_by(|a, b| compare(a, b).is_le()) {
+            sorted = {
+                let mut all = wants.to_vec();
+                all.sort_unstable_by(compare);
+                all
+            };
+            rest = &sorted;
+        }
+        let resident = |w: &&Want| self.resident[w.chunk.0 as usize];
+        while let Some(first) = rest.first() {
+            let least = least_error(error_step(first.error_px));
+            let same = |w: &&Want| w.class == first.class && w.error_px.max(f32::MIN_POSITIVE) >= least;
+            let (step, others) = rest.split_at(rest.iter().take_while(same).count().max(1));
+            out.extend(step.iter().filter(resident));
+            out.extend(step.iter().filter(|w| !resident(w)));
+            rest = others;
+        }
     }
 
     /// Adds a chunk and its coarser ones to the VRAM goal, all or none. Pinned chunks fit by construction.
-    fn add_chain(&self, chunk: ChunkId, goals: &mut Goals) {
-        let chain: Vec<ChunkId> = self.chain(chunk).take_while(|c| !goals.in_vram[c.0 as usize]).collect();
-        let bytes: u64 = chain.iter().map(|&c| self.vram_size(c)).sum();
+    fn add_chain(&mut self, chunk: ChunkId, goals: &mut Goals) {
+        let (mut length, mut bytes, mut failed) = (0, 0, false);
+        for c in self.chain(chunk).take_while(|c| self.marks[c.0 as usize].vram != self.frame) {
+            length += 1;
+            bytes += self.vram_size(c);
+            failed |= self.failed[c.0 as usize];
+        }
         let (pinned, pool) = (self.info[chunk.0 as usize].pinned, self.info[chunk.0 as usize].pool);
         let fits = goals.vram_bytes[pool] + bytes <= self.vram_bound(pool);
-        if chain.iter().any(|c| self.failed[c.0 as usize]) || !(fits || pinned) {
+        if failed || !(fits || pinned) {
             return;
         }
         goals.vram_bytes[pool] += bytes;
-        for &c in chain.iter().rev() {
-            goals.in_vram[c.0 as usize] = true;
-            goals.vram.push(c);
+        let (first, mut next) = (goals.lacking.len(), Some(chunk));
+        for _ in 0..length {
+            let c = next.expect("the chain was that long");
+            next = self.info[c.0 as usize].coarser;
+            self.marks[c.0 as usize].vram = self.frame;
+            match self.vram[c.0 as usize] {
+                Vram::Absent | Vram::Uploading => goals.lacking.push(c),
+                _ => goals.standing_bytes[pool] += self.vram_size(c),
+            }
         }
+        goals.lacking[first..].reverse();
     }
 
     /// What has to pass through RAM: first what VRAM lacks, then all else that is wanted and not in VRAM; of what is not
     /// there yet no more than may be in flight.
-    fn add_ram(&self, wants: &[Want], goals: &mut Goals) {
+    fn add_ram(&mut self, goals: &mut Goals) {
         let (mut room, mut loads) = (self.limits.ram_bytes, self.limits.loads_in_flight);
-        let candidates: Vec<ChunkId> = goals.vram.iter().copied().chain(wants.iter().map(|w| w.chunk)).collect();
-        for chunk in candidates {
+        for chunk in goals.lacking.iter().copied().chain(goals.wants.iter().map(|w| w.chunk)) {
             let place = chunk.0 as usize;
             let needed = matches!(self.vram[place], Vram::Absent | Vram::Uploading) && !self.failed[place];
             let load = (self.ram[place] != Ram::Loaded) as u32;
-            if needed && !goals.in_ram[place] && self.ram_size(chunk) <= room && load <= loads {
-                (room, loads) = (room - self.ram_size(chunk), loads - load);
-                goals.in_ram[place] = true;
+            let bytes = self.ram_size(chunk);
+            let mark = &mut self.marks[place].ram;
+            if needed && *mark != self.frame && bytes <= room && load <= loads {
+                (room, loads) = (room - bytes, loads - load);
+                *mark = self.frame;
                 goals.ram.push(chunk);
             }
         }
@@ -108,31 +156,30 @@ impl Cache {
         self.limits.vram_bytes[pool] - self.lost_bytes[pool]
     }
 
+    /// Whether a chunk shall be in VRAM.
+    fn is_goal(&self, chunk: ChunkId) -> bool {
+        self.marks[chunk.0 as usize].vram == self.frame
+    }
+
     /// Retiring chunks that are wanted again stay; released ones go, finer before coarser.
-    pub(super) fn keep_and_free(&mut self, goals: &Goals, released: &[ChunkId], commands: &mut Vec<Command>) {
+    pub(super) fn keep_and_free(&mut self, released: &[ChunkId], commands: &mut Vec<Command>) {
         for &chunk in released {
             if self.vram[chunk.0 as usize] == Vram::Retiring {
                 self.set_vram(chunk, Vram::Retiring, Vram::Released);
             }
         }
-        if self.stats.retiring == 0 {
-            return;
-        }
-        let mut released = Vec::new();
-        for chunk in (0..self.info.len() as u32).map(ChunkId) {
-            let state = self.vram[chunk.0 as usize];
-            match state {
-                Vram::Retiring | Vram::Released if goals.in_vram[chunk.0 as usize] => {
-                    self.set_vram(chunk, state, Vram::Resident);
-                    commands.push(Command::Keep(chunk));
-                }
-                Vram::Released => released.push(chunk),
-                _ => {}
+        let mut leaving = self.in_vram.list(LEAVING).to_vec();
+        leaving.sort_unstable();
+        for &chunk in &leaving {
+            if self.is_goal(chunk) {
+                self.set_vram(chunk, self.vram[chunk.0 as usize], Vram::Resident);
+                commands.push(Command::Keep(chunk));
             }
         }
+        leaving.retain(|c| self.vram[c.0 as usize] == Vram::Released);
         // Longer chains first: a finer chunk is one step further from the end of its chain.
-        released.sort_by_key(|&c| (std::cmp::Reverse(self.chain(c).count()), c));
-        for chunk in released {
+        leaving.sort_by_key(|&c| Reverse(self.depth[c.0 as usize]));
+        for chunk in leaving {
             if self.finer_in_vram[chunk.0 as usize] == 0 {
                 self.set_vram(chunk, Vram::Released, Vram::Absent);
                 commands.push(Command::Free(chunk));
@@ -148,47 +195,61 @@ impl Cache {
 
     fn retire_in(&mut self, pool: usize, goals: &Goals, commands: &mut Vec<Command>) {
         let bound = self.vram_bound(pool);
-        if self.vram_bytes[pool] + goals.vram_bytes[pool] <= bound {
-            return; // room for everything, whatever is there already
+        let goal = goals.vram_bytes[pool] + self.uploading_outside(pool);
+        // Leftovers: what stands there and is no goal.
+        let mut kept = self.standing_bytes[pool] - goals.standing_bytes[pool];
+        if goal + kept <= bound {
+            return;
         }
-        let leftover = |c: &ChunkId| {
-            let place = c.0 as usize;
-            self.info[place].pool == pool && self.vram[place] == Vram::Resident && !goals.in_vram[place]
-        };
-        let goal = goals.vram_bytes[pool] + self.uploading_outside(pool, goals);
-        let mut victims: Vec<ChunkId> = (0..self.info.len() as u32).map(ChunkId).filter(leftover).collect();
-        let mut kept: u64 = victims.iter().map(|&c| self.vram_size(c)).sum();
-        victims.sort_by_key(|&c| {
-            let place = c.0 as usize;
-            let rank = goals.rank[place];
-            (rank != 0, std::cmp::Reverse(rank), self.last_wanted[place], std::cmp::Reverse(self.chain(c).count()), c)
-        });
+        let mut next = self.vram_victims(pool);
+        let mut victims = Vec::with_capacity(next.len());
+        while let Some(Reverse((.., chunk))) = next.pop() {
+            if goal + kept <= bound {
+                return;
+            }
+            kept -= self.retire_chunk(chunk, commands);
+            victims.push(chunk);
+        }
+        // What finer chunks stood on goes in later rounds.
         let mut progress = true;
         while progress && goal + kept > bound {
             progress = false;
             for &chunk in &victims {
-                let place = chunk.0 as usize;
-                let stands = self.vram[place] == Vram::Resident && self.finer_staying[place] == 0;
-                if stands && goal + kept > bound {
-                    kept -= self.vram_size(chunk);
-                    self.set_vram(chunk, Vram::Resident, Vram::Retiring);
-                    commands.push(Command::Retire(chunk));
-                    progress = true;
+                if goal + kept > bound {
+                    let bytes = self.retire_chunk(chunk, commands);
+                    progress |= bytes > 0;
+                    kept -= bytes;
                 }
             }
         }
     }
 
-    /// Bytes of uploads under way that are no longer wanted: they will be residents soon.
-    fn uploading_outside(&self, pool: usize, goals: &Goals) -> u64 {
-        if self.stats.uploads_in_flight == 0 {
+    /// Asks a chunk back if nothing finer stays on it; the bytes that this makes.
+    fn retire_chunk(&mut self, chunk: ChunkId, commands: &mut Vec<Command>) -> u64 {
+        let place = chunk.0 as usize;
+        if self.vram[place] != Vram::Resident || self.finer_staying[place] > 0 {
             return 0;
         }
-        let outside = |c: &ChunkId| {
-            let place = c.0 as usize;
-            self.info[place].pool == pool && self.vram[place] == Vram::Uploading && !goals.in_vram[place]
+        self.set_vram(chunk, Vram::Resident, Vram::Retiring);
+        commands.push(Command::Retire(chunk));
+        self.vram_size(chunk)
+    }
+
+    /// Leftovers of a pool, first to go on top: unwanted, then least urgent, longest unused, long chain, number.
+    fn vram_victims(&self, pool: usize) -> BinaryHeap<Reverse<(bool, Reverse<u32>, u32, Reverse<u8>, ChunkId)>> {
+        let leftover = self.in_vram.list(resident_in(pool)).iter().filter(|c| !self.is_goal(**c));
+        let key = |&c: &ChunkId| {
+            let mark = &self.marks[c.0 as usize];
+            let rank = if mark.wanted == self.frame { mark.rank } else { 0 };
+            Reverse((rank != 0, Reverse(rank), mark.wanted, Reverse(self.depth[c.0 as usize]), c))
         };
-        (0..self.info.len() as u32).map(ChunkId).filter(outside).map(|c| self.vram_size(c)).sum()
+        leftover.map(key).collect()
+    }
+
+    /// Bytes of uploads under way that are no longer wanted: they will be residents soon.
+    fn uploading_outside(&self, pool: usize) -> u64 {
+        let outside = |c: &&ChunkId| self.info[c.0 as usize].pool == pool && !self.is_goal(**c);
+        self.in_vram.list(UPLOADING).iter().filter(outside).map(|&c| self.vram_size(c)).sum()
     }
 
     /// Begins uploads in order of priority. Room is kept for what is more urgent and still on its way.
@@ -197,7 +258,7 @@ impl Cache {
         let mut room: [Option<u64>; POOLS] =
             std::array::from_fn(|pool| Some(self.limits.vram_bytes[pool] - self.vram_bytes[pool]));
         let mut begun = 0;
-        for &chunk in &goals.vram {
+        for &chunk in &goals.lacking {
             let place = chunk.0 as usize;
             if self.vram[place] != Vram::Absent {
                 continue;
@@ -220,24 +281,25 @@ impl Cache {
     }
 
     /// Loads that are under way and have no place in RAM any more.
-    pub(super) fn withdraw(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
+    pub(super) fn withdraw(&mut self, commands: &mut Vec<Command>) {
         self.loading.retain(|c| self.ram[c.0 as usize] == Ram::Loading);
-        let unwanted = self.loading.iter().filter(|c| !goals.in_ram[c.0 as usize]);
+        let unwanted = self.loading.iter().filter(|c| self.marks[c.0 as usize].ram != self.frame);
         commands.extend(unwanted.map(|&c| Command::Withdraw(c)));
     }
 
     /// Begins loads in order of priority, dropping from RAM what is not wanted there, longest unused first.
     pub(super) fn load(&mut self, goals: &Goals, commands: &mut Vec<Command>) {
-        let absent = |c: &&ChunkId| self.ram[c.0 as usize] == Ram::Absent;
-        let missing: Vec<ChunkId> = goals.ram.iter().filter(absent).copied().collect();
-        let mut victims: Option<std::vec::IntoIter<ChunkId>> = None;
-        for chunk in missing {
+        let mut victims = None;
+        for &chunk in &goals.ram {
+            if self.ram[chunk.0 as usize] != Ram::Absent {
+                continue;
+            }
             if self.stats.loads_in_flight >= self.limits.loads_in_flight {
                 return;
             }
             while self.stats.ram_bytes + self.ram_size(chunk) > self.limits.ram_bytes {
-                let victims = victims.get_or_insert_with(|| self.ram_victims(goals).into_iter());
-                let Some(victim) = victims.next() else { return };
+                let victims = victims.get_or_insert_with(|| self.ram_victims());
+                let Some(Reverse((_, victim))) = victims.pop() else { return };
                 self.set_ram(victim, Ram::Loaded, Ram::Absent);
                 commands.push(Command::DropRam(victim));
             }
@@ -247,14 +309,13 @@ impl Cache {
         }
     }
 
-    /// What may leave RAM, first to go first. Copies that are being uploaded stay.
-    fn ram_victims(&self, goals: &Goals) -> Vec<ChunkId> {
-        let free = |c: &ChunkId| {
+    /// What may leave RAM, first to go on top: longest unused, number. Copies that are being uploaded stay.
+    fn ram_victims(&self) -> BinaryHeap<Reverse<(u32, ChunkId)>> {
+        let free = |c: &&ChunkId| {
             let place = c.0 as usize;
-            self.ram[place] == Ram::Loaded && self.vram[place] != Vram::Uploading && !goals.in_ram[place]
+            self.vram[place] != Vram::Uploading && self.marks[place].ram != self.frame
         };
-        let mut victims: Vec<ChunkId> = (0..self.info.len() as u32).map(ChunkId).filter(free).collect();
-        victims.sort_by_key(|&c| (self.last_wanted[c.0 as usize], c));
-        victims
+        let free = self.loaded.list(0).iter().filter(free);
+        free.map(|&c| Reverse((self.marks[c.0 as usize].wanted, c))).collect()
     }
 }
