@@ -68,6 +68,8 @@ pub struct Frame<'a> {
     pub retiring: &'a [bool],
     /// Per chunk: true when it cannot be read and never will be; nothing waits for it.
     pub failed: &'a [bool],
+    /// Chunks of which `resident` or `retiring` may differ from the last selection's; none where any may.
+    pub changed: Option<&'a [ChunkId]>,
     /// Allowed error or bands.
     pub detail: Detail,
     /// Upper bound for the bytes of all geometry chunks that this frame wants resident; the error rises until it

@@ -9,9 +9,10 @@ use pb_lod::progressive_buffers::model::{FLAG_COLORS, FLAG_CUTOUT};
 use pb_lod::progressive_buffers::textures::Textures;
 use wgpu::BufferUsages;
 
+use crate::draw_table::DrawTable;
 use crate::error::RenderError;
 use crate::gpu::Gpu;
-use crate::heap::{Heap, HeapFull, Move, UNIT_BYTES, plannable_units};
+use crate::heap::{HeapFull, Move, UNIT_BYTES, plannable_units};
 use crate::share::{Party, share};
 use crate::squares::PagesFull;
 use crate::tables::{ClusterGpu, DrawArguments, LevelGpu};
@@ -19,7 +20,7 @@ use crate::texture_pool::PageLimits;
 use crate::tiles::{GpuTiles, TexturePlan};
 
 /// Levels per cluster that fit beside the cluster's index in an instance number.
-const LEVEL_SLOTS: u32 = 16;
+pub(crate) const LEVEL_SLOTS: u32 = 16;
 
 /// The archive's tables as the renderer reads them once.
 #[derive(Clone, Copy)]
@@ -42,7 +43,7 @@ impl ModelTables<'_> {
     }
 
     /// Vertices that `chunk` adds to the coarser ones.
-    fn new_vertices(&self, chunk: usize) -> u32 {
+    pub(crate) fn new_vertices(&self, chunk: usize) -> u32 {
         let coarser = if (chunk + 1).is_multiple_of(self.level_count()) { 0 } else { self.levels[chunk + 1].vertices };
         self.levels[chunk].vertices - coarser
     }
@@ -225,12 +226,10 @@ pub struct GpuModel {
     pub(crate) coarse_index_buffer: wgpu::Buffer,
     pub(crate) argument_buffer: wgpu::Buffer,
     scratch: wgpu::Buffer,
-    heap: Heap,
+    pub(crate) draws: DrawTable,
     plan: VramPlan,
     /// As on the adapter.
     level_table: Vec<LevelGpu>,
-    /// Vertices that the chunk adds, indices of its level.
-    sizes: Vec<[u32; 2]>,
     /// First index of each cluster in the coarse buffer, and the end of the last.
     coarse_first: Vec<u32>,
     /// Where the model has textures.
@@ -275,10 +274,9 @@ impl GpuModel {
             ),
             argument_buffer: buffer("draws", clusters * size_of::<DrawArguments>() as u64, BufferUsages::INDIRECT),
             scratch: buffer("scratch", plan.largest_units as u64 * UNIT_BYTES, BufferUsages::COPY_SRC),
-            heap: Heap::new(plan.heap_units as u32, plan.coarse_units as u32, t.levels.len()),
+            draws: DrawTable::new(t, plan.heap_units as u32, plan.coarse_units as u32),
             plan,
             level_table: t.levels.iter().map(|l| LevelGpu { vertices: l.vertices, base: 0 }).collect(),
-            sizes: (0..t.levels.len()).map(|c| [t.new_vertices(c), t.levels[c].triangles * 3]).collect(),
             coarse_first: vec![0],
             tiles,
         };
@@ -306,7 +304,7 @@ impl GpuModel {
             let slot = c * self.levels as usize + last;
             assert_eq!(
                 [chunk.vertices.len() as u32, chunk.indices.len() as u32],
-                self.sizes[slot],
+                self.draws.sizes[slot],
                 "as the table says"
             );
             let base = vertices.len() as u32;
@@ -330,7 +328,7 @@ impl GpuModel {
 
     /// Bytes in use now: tables, coarse buffer, resident chunks. Never more than the bound.
     pub fn vram_bytes(&self) -> u64 {
-        self.plan.fixed_bytes + self.heap.used_units() as u64 * UNIT_BYTES + self.texture_vram_bytes()
+        self.plan.fixed_bytes + self.draws.heap.used_units() as u64 * UNIT_BYTES + self.texture_vram_bytes()
     }
 
     /// The part of [`GpuModel::vram_bytes`] that is textures and their tables.
@@ -351,7 +349,7 @@ impl GpuModel {
 
     /// The texture chunk behind a chunk's number, which follow those of the geometry.
     fn texture_chunk(&self, chunk: ChunkId) -> Option<usize> {
-        (chunk.0 as usize).checked_sub(self.sizes.len())
+        (chunk.0 as usize).checked_sub(self.draws.sizes.len())
     }
 
     /// Makes a texture chunk resident; `bytes` are its mips as the archive has them. A no-op for tails and for
@@ -368,13 +366,13 @@ impl GpuModel {
     /// Fails only when chunks of more than [`Self::chunk_budget_bytes`] are resident.
     pub fn upload(&mut self, gpu: &Gpu, chunk: ChunkId, data: ChunkData) -> Result<(), HeapFull> {
         let slot = chunk.0 as usize;
-        let [vertices, indices] = self.sizes[slot];
+        let [vertices, indices] = self.draws.sizes[slot];
         assert_eq!([data.vertices.len() as u32, data.indices.len() as u32], [vertices, indices], "as the table says");
-        if self.is_coarsest(slot) || self.heap.range(slot).is_some() {
+        if self.is_coarsest(slot) || self.draws.heap.range(slot).is_some() {
             return Ok(());
         }
-        let units = vertices + (indices * 2).div_ceil(UNIT_BYTES as u32);
-        let (range, moves) = self.heap.allocate(slot, units)?;
+        let units = self.draws.units(slot);
+        let (range, moves) = self.draws.place(slot)?;
         if !moves.is_empty() {
             self.carry_out(gpu, &moves);
         }
@@ -392,7 +390,7 @@ impl GpuModel {
         match (self.texture_chunk(chunk), &mut self.tiles) {
             (Some(texture), Some(tiles)) => tiles.free(texture),
             _ => {
-                self.heap.free(chunk.0 as usize);
+                self.draws.heap.free(chunk.0 as usize);
             }
         }
     }
@@ -402,7 +400,7 @@ impl GpuModel {
         if let (Some(texture), Some(tiles)) = (self.texture_chunk(chunk), &self.tiles) {
             return tiles.is_resident(texture);
         }
-        self.is_coarsest(chunk.0 as usize) || self.heap.range(chunk.0 as usize).is_some()
+        self.is_coarsest(chunk.0 as usize) || self.draws.heap.range(chunk.0 as usize).is_some()
     }
 
     fn is_coarsest(&self, slot: usize) -> bool {
@@ -411,7 +409,7 @@ impl GpuModel {
 
     /// Tells the shader where a slot's vertices lie.
     fn set_base(&mut self, gpu: &Gpu, slot: usize) {
-        let range = self.heap.range(slot).expect("the slot was just filled");
+        let range = self.draws.heap.range(slot).expect("the slot was just filled");
         self.level_table[slot].base = range.first.wrapping_sub(self.level_table[slot + 1].vertices);
         let offset = (slot * size_of::<LevelGpu>()) as u64;
         gpu.queue.write_buffer(&self.level_buffer, offset, bytemuck::bytes_of(&self.level_table[slot]));
@@ -427,23 +425,9 @@ impl GpuModel {
         }
         gpu.queue.submit([encoder.finish()]);
         for slot in 0..self.level_table.len() {
-            if self.heap.range(slot).is_some() {
+            if self.draws.heap.range(slot).is_some() {
                 self.set_base(gpu, slot);
             }
-        }
-    }
-
-    /// Arguments of the draw of one cluster with the index buffer of `level`, whose chunk is resident.
-    pub(crate) fn arguments(&self, cluster: u32, level: u32) -> DrawArguments {
-        let slot = (cluster * self.levels + level) as usize;
-        let range = self.heap.range(slot).expect("only resident chunks are drawn (I5)");
-        let [vertices, indices] = self.sizes[slot];
-        DrawArguments {
-            index_count: indices,
-            instance_count: 1,
-            first_index: (range.first + vertices) * (UNIT_BYTES as u32 / 2),
-            base_vertex: 0,
-            first_instance: cluster * LEVEL_SLOTS + level,
         }
     }
 

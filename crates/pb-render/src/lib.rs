@@ -7,6 +7,7 @@
 //! Must never: know of windows, user interfaces, files or threads; decide what is resident or drawn.
 
 mod camera;
+mod draw_table;
 mod error;
 mod gpu;
 mod gpu_model;
@@ -21,10 +22,11 @@ mod texture_pool;
 mod tiles;
 
 pub use camera::{Camera, grid_eye};
+pub use draw_table::{DrawTable, texture_floors};
 pub use error::RenderError;
 pub use gpu::Gpu;
 pub use gpu_model::{AdapterLimits, ChunkData, Coarse, GpuModel, ModelTables, VramPlan};
-pub use heap::{HeapFull, UNIT_BYTES};
+pub use heap::{HeapFull, Move, Range, UNIT_BYTES};
 pub use pipelines::{ColorMode, DISPLAY_WGSL, PictureFormat, ShaderKind, Style, shader_source};
 pub use renderer::{BACKGROUND_SRGB, Renderer, Scene};
 pub use squares::PagesFull;

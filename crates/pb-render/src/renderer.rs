@@ -101,8 +101,7 @@ impl Renderer {
         if let Some(tiles) = &self.model.tiles {
             tiles.write_floors(gpu, &scene.plan.texture_floors);
         }
-        let arguments: Vec<DrawArguments> =
-            scene.plan.draws.iter().map(|d| self.model.arguments(d.cluster, d.level)).collect();
+        let arguments = self.model.draws.arguments(&scene.plan.draws);
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         {
             let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));

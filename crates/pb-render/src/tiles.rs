@@ -7,6 +7,7 @@ use pb_lod::progressive_buffers::textures::{
     MIN_SIZE_LOG2, MapFormat, MapKind, MapRecord, MipPlace, Textures, TileRecord,
 };
 
+use crate::draw_table::texture_floors;
 use crate::gpu::Gpu;
 use crate::share::Party;
 use crate::squares::PagesFull;
@@ -334,7 +335,7 @@ impl GpuTiles {
     /// Sends floors (levels, by cluster) to the adapter, never finer than what is resident.
     pub fn write_floors(&self, gpu: &Gpu, floors: &[f32]) {
         assert_eq!(floors.len(), self.tiles.len(), "one floor per cluster");
-        let floors: Vec<f32> = floors.iter().zip(&self.finest).map(|(f, &finest)| f.max(finest as f32)).collect();
+        let floors = texture_floors(floors, &self.finest);
         gpu.queue.write_buffer(&self.table_buffer, 0, bytemuck::cast_slice(&floors));
     }
 

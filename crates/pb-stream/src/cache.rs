@@ -140,7 +140,7 @@ pub struct Cache {
     finer_staying: Vec<u32>,
     resident: Vec<bool>,
     retiring: Vec<bool>,
-    /// Chunks of which `resident` or `retiring` changed since somebody asked.
+    /// Chunks of which `resident` or `retiring` changed since the last frame began.
     changes: Vec<ChunkId>,
     stats: CacheStats,
     /// Two years of them at 60 per second.
@@ -216,6 +216,7 @@ impl Cache {
     /// Wants may come in any order and repeat chunks. Commands are to be carried out in their order.
     pub fn frame(&mut self, wants: &[Want], released: &[ChunkId]) -> Vec<Command> {
         self.frame += 1;
+        self.changes.clear();
         let mut commands = Vec::new();
         let mut goals = std::mem::take(&mut self.goals);
         self.set_goals(wants, &mut goals);
@@ -285,11 +286,10 @@ impl Cache {
         &self.retiring
     }
 
-    /// Chunks of which [`resident`](Cache::resident) or [`retiring`](Cache::retiring) may have changed since the last call,
-    /// in the order of the changes; some of them more than once.
-    pub fn take_changes(&mut self, into: &mut Vec<ChunkId>) {
-        into.clear();
-        std::mem::swap(&mut self.changes, into);
+    /// Chunks of which [`resident`](Cache::resident) or [`retiring`](Cache::retiring) changed since the last frame began,
+    /// some of them more than once.
+    pub fn changes(&self) -> &[ChunkId] {
+        &self.changes
     }
 
     /// True when the copy in RAM may be read.

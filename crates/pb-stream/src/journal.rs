@@ -129,11 +129,6 @@ impl Recorded {
         self.cache.limit_uploads(bytes_per_frame);
     }
 
-    /// As [`Cache::take_changes`]. Not recorded: it decides nothing.
-    pub fn take_changes(&mut self, into: &mut Vec<ChunkId>) {
-        self.cache.take_changes(into);
-    }
-
     fn write(&mut self, line: &impl Serialize) {
         let Some(out) = &mut self.out else { return };
         let written = serde_json::to_writer(&mut *out, line).map_err(Into::into).and_then(|()| out.write_all(b"\n"));

@@ -4,6 +4,7 @@
 //! This library is its inside, so that tests can reach it.
 
 pub mod args;
+pub mod exchange;
 mod export;
 pub mod failure;
 pub mod feed;

@@ -18,6 +18,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::exchange::Exchange;
 use crate::export::ShownFrame;
 use crate::feed::{Feed, Loaded};
 use crate::flypath::Keyframe;
@@ -122,9 +123,7 @@ pub struct Streaming {
     cache: Recorded,
     /// Decoded chunks, by chunk.
     decoded: Vec<Option<Loaded>>,
-    /// May be drawn, by chunk: the cache's and those that always are.
-    resident: Vec<bool>,
-    always_resident: Vec<u32>,
+    exchange: Exchange,
     /// Of geometry with the coarse buffer, and of textures without their tails.
     budgets: [u64; 2],
     max_triangles: u64,
@@ -165,8 +164,7 @@ impl Streaming {
             selector,
             cache,
             decoded: vec![None; chunks],
-            resident: vec![false; chunks],
-            always_resident: (0..chunks as u32).filter(|&c| model.always_resident(ChunkId(c))).collect(),
+            exchange: Exchange::new((0..chunks as u32).map(|c| model.always_resident(ChunkId(c))).collect()),
             budgets: [coarse_bytes + costs.budgets[0], costs.budgets[1]],
             max_triangles: bounds.max_triangles,
             plan: Plan::default(),
@@ -220,14 +218,15 @@ impl Streaming {
     /// Selects, and carries out what the cache says.
     fn step(&mut self, adapter: &mut dyn Adapter, moment: &Moment, dt_secs: f32) {
         let start = Instant::now();
-        self.mark_resident();
+        self.exchange.update(&self.cache);
         let views = |keys: &[Keyframe]| keys.iter().map(|k| self.camera(k).view(moment.size)).collect::<Vec<View>>();
         let (soon, later) = (views(&self.expected.soon), views(&self.expected.later));
         let frame = Frame {
             views: &[self.view(moment)],
-            resident: &self.resident,
+            resident: self.exchange.resident(),
             retiring: self.cache.retiring(),
             failed: self.cache.failed(),
+            changed: Some(self.exchange.changed()),
             detail: moment.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],
@@ -236,10 +235,8 @@ impl Streaming {
             dt_secs,
         };
         self.plan = self.selector.select(&frame);
-        let wants: Vec<pb_stream::Want> =
-            self.plan.wants.iter().filter(|w| !self.model.always_resident(w.chunk)).map(stream_want).collect();
-        let released: Vec<pb_stream::ChunkId> = self.plan.released.iter().map(|c| pb_stream::ChunkId(c.0)).collect();
-        let commands = self.cache.frame(&wants, &released);
+        let (wants, released) = self.exchange.hand_over(&self.plan);
+        let commands = self.cache.frame(wants, released);
         let decided = Instant::now();
         self.meter_wants();
         let mut unwanted = BTreeSet::new();
@@ -260,7 +257,7 @@ impl Streaming {
     }
 
     fn meter_wants(&mut self) {
-        let (model, cache, resident) = (&self.model, &self.cache, &self.resident);
+        let (model, cache, resident) = (&self.model, &self.cache, self.exchange.resident());
         self.meter.wants(&self.plan.wants, |chunk| {
             let there = resident[chunk.0 as usize] || cache.in_ram(pb_stream::ChunkId(chunk.0));
             there.then(|| stored_bytes(model, chunk))
@@ -352,13 +349,6 @@ impl Streaming {
         }
     }
 
-    fn mark_resident(&mut self) {
-        self.resident.copy_from_slice(self.cache.resident());
-        for &chunk in &self.always_resident {
-            self.resident[chunk as usize] = true;
-        }
-    }
-
     /// What a moment's camera sees.
     pub fn view(&self, moment: &Moment) -> View {
         self.camera(&moment.key).view(moment.size)
@@ -399,7 +389,7 @@ impl Streaming {
     pub fn stats(&self) -> FrameStats {
         let coarse_draws = self.plan.coarse.len() as u32;
         let now = self.plan.wants.iter().take_while(|w| w.class == Class::Now);
-        let absent = |w: &&Want| !self.resident[w.chunk.0 as usize];
+        let absent = |w: &&Want| !self.exchange.resident()[w.chunk.0 as usize];
         let (tau, k) = match self.plan.detail {
             Some(Detail::ErrorPx(tau)) => (tau, 0.0),
             Some(Detail::Bands { k, .. }) => (0.0, k),
@@ -455,13 +445,4 @@ pub(crate) fn chunk_infos(model: &Model, chunk_bytes: &[u64]) -> Vec<ChunkInfo> 
         }
     };
     (0..).zip(chunk_bytes).map(info).collect()
-}
-
-pub(crate) fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
-    let class = match want.class {
-        Class::Maybe => pb_stream::Class::Maybe,
-        Class::Soon => pb_stream::Class::Soon,
-        Class::Now => pb_stream::Class::Now,
-    };
-    pb_stream::Want { chunk: pb_stream::ChunkId(want.chunk.0), class, error_px: want.error_px }
 }

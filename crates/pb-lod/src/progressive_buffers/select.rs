@@ -13,15 +13,15 @@ mod tests;
 #[cfg(test)]
 mod texture_tests;
 mod walk;
-
-use std::cmp::Ordering;
+mod wants;
 
 pub use tables::SelectTables;
 
 use self::budget::{Conditions, DetailControl, Target};
 use self::floors::Floors;
 use self::tables::{Ladder, Tables};
-use self::walk::{Eyes, Place, Seen, Walk, walk};
+use self::walk::{Eyes, Place, Scope, Seen, Walk};
+use self::wants::Wants;
 use super::display::LodTable;
 use super::model::Model;
 use super::switch::Switch;
@@ -43,8 +43,9 @@ pub struct Selector {
     texture_floors: Option<Floors>,
     /// Of geometry and of textures.
     controls: [DetailControl; 2],
-    /// Per chunk: used within one frame.
-    wanted: Vec<bool>,
+    /// Used within one frame: what the views see, they and those that come soon, those that come later; and what they want.
+    walks: [Walk; 3],
+    wants: Wants,
 }
 
 impl Selector {
@@ -53,7 +54,8 @@ impl Selector {
         let tables = Tables::new(tables);
         let floors = Floors::new(&tables, Ladder::Geometry);
         let texture_floors = tables.has_textures().then(|| Floors::new(&tables, Ladder::Texture));
-        Selector { tables, floors, texture_floors, controls: Default::default(), wanted: Vec::new() }
+        let wants = Wants::new(tables.chunks());
+        Selector { tables, floors, texture_floors, controls: Default::default(), walks: Default::default(), wants }
     }
 
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
@@ -83,49 +85,56 @@ impl Selector {
 
     /// Switch distances of all clusters in one view, `cluster * levels + level`, world units: what the GPU reads.
     pub fn distances(&self, switch: &Switch) -> Vec<f32> {
-        let clusters = 0..self.tables.clusters() as u32;
-        clusters
-            .flat_map(|c| switch.table(self.errors(c), 0.0).distances.into_iter().take(self.errors(c).len()))
-            .collect()
+        match &switch.bands {
+            Some(bands) => bands[..self.tables.levels as usize].repeat(self.tables.clusters()),
+            None => self.tables.all_errors().iter().map(|error| error * switch.scale).collect(),
+        }
     }
 
     /// What to draw, load and give back for this frame. `resident` and `retiring` have one entry per chunk.
     pub fn select(&mut self, frame: &Frame) -> Plan {
+        let (mut walks, mut wants) = (std::mem::take(&mut self.walks), std::mem::take(&mut self.wants));
+        let plan = self.select_with(frame, &mut walks, &mut wants);
+        (self.walks, self.wants) = (walks, wants);
+        plan
+    }
+
+    fn select_with(&mut self, frame: &Frame, [walk, soon, later]: &mut [Walk; 3], wants: &mut Wants) -> Plan {
         let t = &self.tables;
         assert_eq!(frame.resident.len(), t.chunks(), "one residency flag per chunk");
         assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
         assert_eq!(frame.failed.len(), t.chunks(), "one failed flag per chunk");
         let eyes = Eyes::new(frame.views, frame.detail, t);
-        let finest = DetailControl::finest(&self.controls, frame.detail);
-        let margin = if frame.prefetch.around { MAYBE_MARGIN } else { 1.0 };
-        let walk = walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), margin);
-        let soon = (!frame.prefetch.soon.is_empty()).then(|| {
-            let views = [frame.views, frame.prefetch.soon].concat();
-            self::walk::walk(t, &Eyes::new(&views, frame.detail, t), &Switch::new(finest, 1.0, t.quantum), 1.0)
-        });
-        let walks = Walks { now: &walk, soon: soon.as_ref().unwrap_or(&walk) };
-        let [(target, now), (texture_target, texels)] = targets(t, &mut self.controls, &self.floors, &walks, frame);
+        let with_soon = [frame.views, frame.prefetch.soon].concat();
+        let all_eyes = [eyes, Eyes::new(&with_soon, frame.detail, t)];
+        let [eyes, _] = &all_eyes;
+        let [(target, now), (texture_target, texels)] =
+            aim(t, &mut self.controls, &self.floors, [walk, soon], &all_eyes, frame);
         let drawn = Switch::new(now.detail, 1.0, t.quantum);
 
         let mut plan = Plan { detail: Some(now.detail), ..Plan::default() };
-        let mut floors_stand = self.floors.step(t, &eyes, &drawn, &walk, frame, &mut plan.released);
+        let mut floors_stand = self.floors.step(t, eyes, &drawn, walk, frame, &mut plan.released);
         if let Some(floors) = &mut self.texture_floors {
             let shown = Switch::new(texels.detail, 1.0, t.quantum);
-            floors_stand &= floors.step(t, &eyes, &shown, &walk, frame, &mut plan.released);
+            floors_stand &= floors.step(t, eyes, &shown, walk, frame, &mut plan.released);
             plan.texture_floors = floors.all().to_vec();
         }
-        self.draw(&walk, &eyes, &drawn, &mut plan);
+        self.draw(walk, eyes, &drawn, &mut plan);
         let targets = [&target, &texture_target];
-        self.want(&walk, targets, [&now, &texels], frame, &mut plan);
-        if let Some(soon) = &soon {
-            self.want_ahead(soon, Class::Soon, targets, frame, &mut plan);
+        wants.clear();
+        self.want(walk, targets, [&now, &texels], frame, wants);
+        if !frame.prefetch.soon.is_empty() {
+            self.want_ahead(soon, Class::Soon, targets, frame, wants);
         }
         if !frame.prefetch.later.is_empty() {
             let eyes = Eyes::new(frame.prefetch.later, frame.detail, t);
-            let later = self::walk::walk(t, &eyes, &Switch::new(finest, 1.0, t.quantum), 1.0);
-            self.want_ahead(&later, Class::Maybe, targets, frame, &mut plan);
+            let switches = targets.map(|target| Switch::new(target.detail, 1.0, t.quantum));
+            later.go(t, &eyes, &switches, Scope::Drawn);
+            self.want_ahead(later, Class::Maybe, targets, frame, wants);
         }
-        self.order_wants(frame, &mut plan);
+        plan.wants = wants.ordered();
+        let now = plan.wants.iter().take_while(|w| w.class == Class::Now);
+        plan.missing_chunks = now.filter(|w| !frame.resident[w.chunk.0 as usize]).count() as u32;
         plan.texture_detail = self.tables.has_textures().then_some(texels.detail);
         plan.rising = self.controls.iter().any(DetailControl::rises);
         plan.floors = self.floors.all().to_vec();
@@ -162,43 +171,41 @@ impl Selector {
 
     /// Chunks that the views of this frame want: now for what is drawn, soon for the target on the way to which that is.
     /// One of each for geometry and for textures.
-    fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        self.want_seen(walk, targets, frame, plan, |seen, ladder, coarsest, level| {
-            let now = |ladder: Ladder| {
-                let t = &self.tables;
-                let drawn = drawn[ladder as usize];
-                let switch = Switch::new(drawn.detail, 1.0, t.quantum);
-                let reach = seen.reach.max(seen.girth * drawn.nearest);
-                level(1.0).max(t.ladder_lod(ladder, &switch, seen.cluster, reach) as u32)
+    fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [&Target; 2], frame: &Frame, wants: &mut Wants) {
+        let t = &self.tables;
+        let switches = drawn.map(|drawn| Switch::new(drawn.detail, 1.0, t.quantum));
+        self.want_seen(walk, targets, frame, wants, |seen, ladder, coarsest, level| {
+            let now = || {
+                let reach = seen.reach.max(seen.girth * drawn[ladder as usize].nearest);
+                level(1.0).max(t.ladder_lod(ladder, &switches[ladder as usize], seen.cluster, reach) as u32)
             };
-            Some(match (seen.place, frame.prefetch.around) {
-                (Place::Visible, true) => [now(ladder), level(SOON_MARGIN), level(MAYBE_MARGIN)],
+            match (seen.place, frame.prefetch.around) {
+                (Place::Visible, true) => [now(), level(SOON_MARGIN), level(MAYBE_MARGIN)],
                 (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
                 (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
-                (Place::Visible, false) => [now(ladder), level(1.0), level(1.0)],
-                (_, false) if seen.shows => [coarsest, level(1.0), level(1.0)],
-                (_, false) => return None,
-            })
+                (Place::Visible, false) => [now(), level(1.0), level(1.0)],
+                (_, false) => [coarsest, level(1.0), level(1.0)],
+            }
         });
     }
 
     /// Chunks that cameras to come will draw, of class Soon or Maybe.
-    fn want_ahead(&self, walk: &Walk, class: Class, targets: [&Target; 2], frame: &Frame, plan: &mut Plan) {
-        self.want_seen(walk, targets, frame, plan, |seen, _, coarsest, level| {
-            let soon = if class == Class::Soon { level(1.0) } else { coarsest };
-            seen.shows.then(|| [coarsest, soon, level(1.0)])
+    fn want_ahead(&self, walk: &Walk, class: Class, targets: [&Target; 2], frame: &Frame, wants: &mut Wants) {
+        self.want_seen(walk, targets, frame, wants, |_, _, coarsest, level| {
+            let finest = level(1.0);
+            [coarsest, if class == Class::Soon { finest } else { coarsest }, finest]
         });
     }
 
-    /// Wants the chunks of what a walk saw. `levels` tells from which level on by class, Now first, or that nothing of a
-    /// cluster is wanted; it gets the coarsest level and that of a fraction of the distance.
+    /// Wants the chunks of what a walk saw. `levels` tells from which level on by class, Now first; it gets the coarsest
+    /// level and that of a fraction of the distance.
     fn want_seen(
         &self,
         walk: &Walk,
         targets: [&Target; 2],
         frame: &Frame,
-        plan: &mut Plan,
-        levels: impl Fn(&Seen, Ladder, u32, &dyn Fn(f32) -> u32) -> Option<[u32; 3]>,
+        wants: &mut Wants,
+        levels: impl Fn(&Seen, Ladder, u32, &dyn Fn(f32) -> u32) -> [u32; 3],
     ) {
         let t = &self.tables;
         for (ladder, target) in t.ladders().zip(targets) {
@@ -206,15 +213,14 @@ impl Selector {
             for seen in &walk.seen {
                 let reach = seen.reach.max(seen.girth * target.nearest);
                 let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
-                if let Some(levels) = levels(seen, ladder, t.coarsest(ladder, seen.cluster), &level) {
-                    self.want_cluster(ladder, seen, levels, frame, plan);
-                }
+                let levels = levels(seen, ladder, t.coarsest(ladder, seen.cluster), &level);
+                self.want_cluster(ladder, seen, levels, frame, wants);
             }
         }
     }
 
     /// Wants the chunks of a cluster; by class, Now first, from which level on.
-    fn want_cluster(&self, ladder: Ladder, seen: &Seen, levels: [u32; 3], frame: &Frame, plan: &mut Plan) {
+    fn want_cluster(&self, ladder: Ladder, seen: &Seen, levels: [u32; 3], frame: &Frame, wants: &mut Wants) {
         let t = &self.tables;
         let coarsest = t.coarsest(ladder, seen.cluster);
         let [now, soon, maybe] = levels;
@@ -231,23 +237,8 @@ impl Selector {
                 _ => Class::Maybe,
             };
             let error_px = t.error_if_missing(ladder, seen.cluster, i) / seen.pixel;
-            plan.wants.push(Want { chunk, class, error_px });
+            wants.add(Want { chunk, class, error_px });
         }
-    }
-
-    /// Most urgent first, each chunk once; counts what is missing.
-    fn order_wants(&mut self, frame: &Frame, plan: &mut Plan) {
-        plan.wants.sort_by(compare_wants);
-        let wanted = &mut self.wanted;
-        wanted.clear();
-        wanted.resize(self.tables.chunks(), false);
-        plan.wants.retain(|w| !std::mem::replace(&mut wanted[w.chunk.0 as usize], true));
-        plan.missing_chunks = plan
-            .wants
-            .iter()
-            .take_while(|w| w.class == Class::Now)
-            .filter(|w| !frame.resident[w.chunk.0 as usize])
-            .count() as u32;
     }
 
     /// The level whose index buffer may draw a cluster for this view: `floor` of the smallest lod in its
@@ -259,11 +250,6 @@ impl Selector {
         let lod = self.tables.lod(&switch, cluster, reach).max(self.floors.floor(cluster));
         (lod as u32).min(self.tables.levels - 1)
     }
-}
-
-/// Most urgent first: class, then the larger error, then the smaller chunk id.
-fn compare_wants(a: &Want, b: &Want) -> Ordering {
-    b.class.cmp(&a.class).then(b.error_px.total_cmp(&a.error_px)).then(a.chunk.cmp(&b.chunk))
 }
 
 /// Bytes in VRAM if every cluster that shows is resident at the level that the target asks for, with the coarse buffer and
@@ -278,47 +264,56 @@ fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64
     always.saturating_add(finer.fold(0, u64::saturating_add))
 }
 
-/// What is seen now, and what is seen now or soon.
-struct Walks<'a> {
-    now: &'a Walk,
-    soon: &'a Walk,
-}
-
-/// For geometry and textures: what the budgets allow, and the detail of this frame on its way there.
-fn targets(
+/// For geometry and textures: what the budgets allow, and what to use in this frame on the way there. Walks the tree for
+/// details little finer than those of the last frame, and again for finer ones where it turns out that the budgets may
+/// allow them. Eyes and walks are those of the views, and those of the views and of what comes soon.
+fn aim(
     t: &Tables,
     controls: &mut [DetailControl; 2],
     floors: &Floors,
-    walks: &Walks,
+    [walk, soon]: [&mut Walk; 2],
+    [eyes, soon_eyes]: &[Eyes; 2],
     frame: &Frame,
 ) -> [(Target, Target); 2] {
+    let scope = if frame.prefetch.around { Scope::Around(MAYBE_MARGIN) } else { Scope::Drawn };
+    let rooms = rooms(t, frame);
+    let mut first = [0, 1].map(|k| controls[k].first_rung());
+    let mut step = 1;
+    loop {
+        let finest = [0, 1].map(|k| Switch::new(controls[k].finest(frame, first[k]), 1.0, t.quantum));
+        walk.go(t, eyes, &finest, scope);
+        if !frame.prefetch.soon.is_empty() {
+            soon.go(t, soon_eyes, &finest, Scope::Drawn);
+        }
+        let all: &Walk = if frame.prefetch.soon.is_empty() { walk } else { soon };
+        let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walk, x) <= frame.max_triangles;
+        let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, all, x) <= rooms[0] && few(x);
+        let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, all, x) <= rooms[1];
+        let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
+        if let [Some(rung), Some(texture_rung)] = rungs {
+            let is_there = |ladder, x: &Target| is_there(t, ladder, walk, x, frame);
+            let geometry = Conditions {
+                is_there: &|x| is_there(Ladder::Geometry, x),
+                may_be_drawn: &|detail| few(&Target { detail, nearest: 0.0 }),
+            };
+            let textures = Conditions {
+                is_there: &|x| !t.has_textures() || is_there(Ladder::Texture, x),
+                may_be_drawn: &|_| true,
+            };
+            return [controls[0].step(frame, rung, &geometry), controls[1].step(frame, texture_rung, &textures)];
+        }
+        step *= 4;
+        first = [0, 1].map(|k| if rungs[k].is_none() { (first[k] - step).max(0) } else { first[k] });
+    }
+}
+
+/// The budgets without what is kept free for prefetching.
+fn rooms(t: &Tables, frame: &Frame) -> [u64; 2] {
     let kept_free = |budget: u64, all: u64| match frame.prefetch.is_off() || budget >= all {
         true => budget,
         false => budget - budget / PREFETCH_SHARE,
     };
-    let room = kept_free(frame.vram_budget_bytes, t.all_bytes[0]);
-    let texture_room = kept_free(frame.texture_budget_bytes, t.all_bytes[1]);
-    let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walks.now, x) <= frame.max_triangles;
-    let may_be_drawn = |detail| few(&Target { detail, nearest: 0.0 });
-    let [geometry, textures] = controls;
-    [
-        geometry.step(
-            frame,
-            &Conditions {
-                fits: &|x| bytes_wanted(t, Ladder::Geometry, walks.soon, x) <= room && few(x),
-                is_there: &|x| is_there(t, Ladder::Geometry, walks.now, x, frame),
-                may_be_drawn: &may_be_drawn,
-            },
-        ),
-        textures.step(
-            frame,
-            &Conditions {
-                fits: &|x| !t.has_textures() || bytes_wanted(t, Ladder::Texture, walks.soon, x) <= texture_room,
-                is_there: &|x| !t.has_textures() || is_there(t, Ladder::Texture, walks.now, x, frame),
-                may_be_drawn: &|_| true,
-            },
-        ),
-    ]
+    [kept_free(frame.vram_budget_bytes, t.all_bytes[0]), kept_free(frame.texture_budget_bytes, t.all_bytes[1])]
 }
 
 /// Whether all chunks that are drawn at a target are resident, but for those that cannot be.

@@ -16,7 +16,7 @@ pub const LEVELS: u32 = 5;
 const QUANTUM: f64 = 1.0 / 1024.0;
 /// Distance between neighbouring places of the grid, and the radius of a cluster, world units: metres.
 const STEP: f64 = 4.0;
-const RADIUS: f64 = 2.2;
+const RADIUS: f64 = 2.7;
 /// Most clusters of a pillar.
 const STOREYS: u32 = 4;
 

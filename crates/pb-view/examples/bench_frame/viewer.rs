@@ -4,13 +4,14 @@ use glam::DVec3;
 use pb_lod::plan::{Detail, Frame, Plan, Prefetch, View};
 use pb_lod::progressive_buffers::select::Selector;
 use pb_lod::progressive_buffers::switch::Switch;
-use pb_render::{Camera, DrawArguments};
-use pb_stream::ChunkId;
+use pb_render::{Camera, DrawTable, ModelTables, UNIT_BYTES, texture_floors};
 use pb_stream::cache::{Cache, Command, Limits};
 use pb_stream::disk::Disk;
 use pb_stream::merge::Extent;
+use pb_view::exchange::Exchange;
 use pb_view::flypath::{Flypath, Keyframe};
 use pb_view::prefetch::{Expected, Latency, Prefetcher};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use crate::city::City;
@@ -98,8 +99,7 @@ impl Tally {
 pub struct Viewer {
     selector: Selector,
     cache: Cache,
-    always: Vec<u32>,
-    resident: Vec<bool>,
+    exchange: Exchange,
     budgets: [u64; 2],
     disk: Disk,
     extents: Vec<Extent>,
@@ -109,8 +109,13 @@ pub struct Viewer {
     ahead: Ahead,
     flight: Flypath,
     plan: Plan,
-    arguments: Vec<DrawArguments>,
-    floors: Vec<f32>,
+    draws: DrawTable,
+    /// Chunks of geometry come first.
+    geometry_chunks: usize,
+    /// Per cluster, as the adapter has them.
+    finest: Vec<u32>,
+    /// What would be copied to the adapter.
+    sent: Vec<u8>,
     switch: Option<Switch>,
     distances: Vec<f32>,
     tally: Tally,
@@ -131,12 +136,11 @@ impl Viewer {
         let always = city.always();
         Viewer {
             cache: Cache::new(city.infos(), Limits::new(ram, pools)).expect("nothing is pinned, chunks are small"),
-            always: (0..always.len() as u32).filter(|&c| always[c as usize]).collect(),
-            resident: vec![false; always.len()],
             budgets: [city.coarse_bytes() + pools[0], pools[1]],
             disk: Disk::new("0.1,2000".parse().expect("a disk")),
             extents: extents.collect(),
             ranks: vec![(0, 0); always.len()],
+            exchange: Exchange::new(always),
             prefetcher: match ahead {
                 Ahead::Off => Prefetcher::off(),
                 Ahead::Motion => Prefetcher::new(0.0),
@@ -146,8 +150,10 @@ impl Viewer {
             ahead,
             flight,
             plan: Plan::default(),
-            arguments: Vec::new(),
-            floors: Vec::new(),
+            draws: draw_table(city, pools[0]),
+            geometry_chunks: city.levels.len(),
+            finest: vec![0; city.clusters.len()],
+            sent: Vec::new(),
             switch: None,
             distances: Vec::new(),
             tally: Tally::default(),
@@ -172,28 +178,36 @@ impl Viewer {
         let start = Instant::now();
         let frame = self.begin(&key, &expected);
         let begun = Instant::now();
-        let plan = self.selector.select(&frame.frame(&self.resident, &self.cache, self.budgets));
+        let plan = self.selector.select(&frame.frame(&self.exchange, &self.cache, self.budgets));
         let selected = Instant::now();
         self.plan = plan;
-        let always = |c: u32| self.resident[c as usize] && !self.cache.resident()[c as usize];
-        let wants: Vec<pb_stream::Want> =
-            self.plan.wants.iter().filter(|w| !always(w.chunk.0)).map(stream_want).collect();
-        let released: Vec<ChunkId> = self.plan.released.iter().map(|c| ChunkId(c.0)).collect();
+        let (wants, released) = self.exchange.hand_over(&self.plan);
         let handed = Instant::now();
-        let commands = self.cache.frame(&wants, &released);
+        let commands = self.cache.frame(wants, released);
         let decided = Instant::now();
         let commands_copy = commands.clone();
+        let mut unwanted = BTreeSet::new();
         for command in commands {
             match command {
                 Command::Load(chunk) => {
                     self.tally.loads += 1;
                     self.disk.ask(chunk, self.extents[chunk.0 as usize]);
                 }
-                Command::Upload(chunk) => self.cache.uploaded(chunk),
+                Command::Upload(chunk) => {
+                    self.cache.uploaded(chunk);
+                    if (chunk.0 as usize) < self.geometry_chunks {
+                        self.draws.place(chunk.0 as usize).expect("the heap is larger than the bound");
+                    }
+                }
+                Command::Free(chunk) if (chunk.0 as usize) < self.geometry_chunks => self.draws.free(chunk.0 as usize),
+                Command::Withdraw(chunk) => drop(unwanted.insert(chunk)),
                 _ => {}
             }
         }
         self.rank();
+        for chunk in self.disk.withdraw(|chunk| unwanted.contains(&chunk)) {
+            self.cache.load_withdrawn(chunk);
+        }
         let carried = Instant::now();
         self.build(&key);
         let built = Instant::now();
@@ -220,15 +234,13 @@ impl Viewer {
                 Command::Retire(c) => [3, c.0],
                 Command::Keep(c) => [4, c.0],
                 Command::Free(c) => [5, c.0],
+                Command::Withdraw(c) => [6, c.0],
             });
         }
     }
 
     fn begin(&mut self, key: &Keyframe, expected: &Expected) -> Views {
-        self.resident.copy_from_slice(self.cache.resident());
-        for &chunk in &self.always {
-            self.resident[chunk as usize] = true;
-        }
+        self.exchange.update(&self.cache);
         let views = |keys: &[Keyframe]| keys.iter().map(|k| camera(k).view(SIZE)).collect::<Vec<View>>();
         let (soon, later) = (views(&expected.soon), views(&expected.later));
         Views { now: camera(key).view(SIZE), soon, later, around: expected.around }
@@ -257,6 +269,11 @@ impl Viewer {
             }
             self.switch = Some(switch);
         }
+        // Copied once, as the queue of the adapter does.
+        self.sent.clear();
+        self.sent.extend_from_slice(bytemuck::cast_slice(&self.draws.arguments(&self.plan.draws)));
+        self.sent.extend_from_slice(bytemuck::cast_slice(&self.plan.floors));
+        self.sent.extend_from_slice(bytemuck::cast_slice(&texture_floors(&self.plan.texture_floors, &self.finest)));
     }
 }
 
@@ -269,11 +286,12 @@ struct Views {
 }
 
 impl Views {
-    fn frame<'a>(&'a self, resident: &'a [bool], cache: &'a Cache, budgets: [u64; 2]) -> Frame<'a> {
+    fn frame<'a>(&'a self, exchange: &'a Exchange, cache: &'a Cache, budgets: [u64; 2]) -> Frame<'a> {
         Frame {
             views: std::slice::from_ref(&self.now),
-            resident,
+            resident: exchange.resident(),
             retiring: cache.retiring(),
+            changed: Some(exchange.changed()),
             detail: DETAIL,
             vram_budget_bytes: budgets[0],
             texture_budget_bytes: budgets[1],
@@ -284,18 +302,21 @@ impl Views {
     }
 }
 
-fn stream_want(want: &pb_lod::plan::Want) -> pb_stream::Want {
-    use pb_lod::plan::Class;
-    let class = match want.class {
-        Class::Maybe => pb_stream::Class::Maybe,
-        Class::Soon => pb_stream::Class::Soon,
-        Class::Now => pb_stream::Class::Now,
-    };
-    pb_stream::Want { chunk: ChunkId(want.chunk.0), class, error_px: want.error_px }
-}
-
 fn camera(key: &Keyframe) -> Camera {
     Camera { eye: key.eye, target: key.target, up: key.up, fov_deg: key.fov_deg, near: 1e-3 }
+}
+
+/// With room for the coarse buffer, and for a bound with holes between what lies in it.
+fn draw_table(city: &City, bound: u64) -> DrawTable {
+    let tables = ModelTables {
+        model: &city.model,
+        clusters: &city.clusters,
+        levels: &city.levels,
+        neighbours: &city.neighbours,
+        textures: None,
+    };
+    let coarse_units = (city.coarse_bytes() / UNIT_BYTES) as u32;
+    DrawTable::new(&tables, coarse_units + (bound / UNIT_BYTES) as u32 * 5 / 4 + 65536, coarse_units)
 }
 
 /// A circle around the middle, looking along it.
@@ -322,6 +343,7 @@ fn bytes_wanted(city: &City, selector: &mut Selector, flight: &Flypath) -> [u64;
             views: &[view],
             resident: &none,
             retiring: &none,
+            changed: None,
             detail: DETAIL,
             vram_budget_bytes: u64::MAX,
             texture_budget_bytes: u64::MAX,

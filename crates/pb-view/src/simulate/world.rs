@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use super::random::Random;
 use super::scene::SimScene;
-use crate::streaming::stream_want;
+use crate::exchange::stream_want;
 
 /// Frame time of all flights.
 const DT_SECS: f32 = 1.0 / 30.0;
@@ -258,11 +258,13 @@ impl<'a> World<'a> {
         }
         self.end_uploads(random, refused);
         self.check_books()?;
+        let changed: Vec<plan::ChunkId> = self.cache.changes().iter().map(|c| plan::ChunkId(c.0)).collect();
         let plan = self.selector.select(&Frame {
             views: &[self.view()],
             resident: &self.resident,
             retiring: self.cache.retiring(),
             failed: self.cache.failed(),
+            changed: Some(&changed),
             detail: self.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],

@@ -11,6 +11,8 @@ use crate::plan::{Detail, Frame};
 const STEP: f64 = 1.05;
 /// Rungs of the ladder: 1.05^400 is 3e8 times the error asked for.
 const RUNGS: i32 = 400;
+/// A search looks this many rungs below the last answer before the view is walked for finer details.
+const NEAR_RUNGS: i32 = 2;
 /// The detail in use changes by at most this factor per second: 3 % at 60 frames per second.
 const RATE_PER_SEC: f64 = 5.9;
 /// The same while the first detail is reached: as fast as floors let data fade in, a level (about 4 times the error) per
@@ -42,6 +44,8 @@ impl Target {
 #[derive(Default)]
 pub(super) struct DetailControl {
     last: Option<(Detail, f64)>,
+    /// Rung of the last target: where the search for the next one begins.
+    rung: i32,
     settled: bool,
     rises: bool,
     /// The target was reached once.
@@ -52,8 +56,6 @@ pub(super) struct DetailControl {
 
 /// What a detail must be good for.
 pub(super) struct Conditions<'a> {
-    /// Its bytes and triangles are within the bounds.
-    pub fits: &'a dyn Fn(&Target) -> bool,
     /// What it draws is resident.
     pub is_there: &'a dyn Fn(&Target) -> bool,
     /// It may be drawn in this very frame.
@@ -61,21 +63,34 @@ pub(super) struct Conditions<'a> {
 }
 
 impl DetailControl {
-    /// The finest detail that the next step of any of them can return or ask the cost of.
-    pub fn finest(controls: &[DetailControl], asked: Detail) -> Detail {
-        coarsened(asked, controls.iter().map(|c| c.start(asked)).fold(1.0, f64::min))
+    /// The rung from which on the next search looks, if nobody says to look at finer ones: a little below the last answer.
+    pub fn first_rung(&self) -> i32 {
+        (self.rung - NEAR_RUNGS).max(0)
     }
 
-    /// The finest target on the ladder that `fits`, and what to use in this frame: on its way there, no finer than what
-    /// `is_there`, but at once as coarse as `may_be_drawn` asks for.
-    pub fn step(&mut self, frame: &Frame, conditions: &Conditions) -> (Target, Target) {
+    /// The finest detail that [`search`](Self::search) asks the cost of and [`step`](Self::step) returns or asks the cost of,
+    /// where the search looks at `first` and coarser rungs.
+    pub fn finest(&self, frame: &Frame, first: i32) -> Detail {
+        coarsened(frame.detail, STEP.powi(first).min(self.start(frame.detail) * reach(frame)))
+    }
+
+    /// The rung of the finest target on the ladder that `fits`; none when rungs finer than `first` may fit, too.
+    pub fn search(&self, frame: &Frame, first: i32, fits: impl Fn(&Target) -> bool) -> Option<i32> {
+        let rung = first_that(first..RUNGS, self.rung, |rung| fits(&Target::new(frame.detail, STEP.powi(rung))));
+        (rung > first || first == 0).then_some(rung)
+    }
+
+    /// The target on a rung, and what to use in this frame: on its way there, no finer than what `is_there`, but at once as
+    /// coarse as `may_be_drawn` asks for.
+    pub fn step(&mut self, frame: &Frame, rung: i32, conditions: &Conditions) -> (Target, Target) {
+        self.rung = rung;
         let at = |gain: f64| Target::new(frame.detail, gain);
-        let target = STEP.powi(first_that(RUNGS, |rung| (conditions.fits)(&at(STEP.powi(rung)))));
+        let target = STEP.powi(rung);
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
         let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(coarsened(frame.detail, gain));
         let gain = match may_be_drawn(gain) {
             true => gain,
-            false => gain * STEP.powi(first_that(RUNGS, |rung| may_be_drawn(gain * STEP.powi(rung)))),
+            false => gain * STEP.powi(first_that(0..RUNGS, 0, |rung| may_be_drawn(gain * STEP.powi(rung)))),
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
@@ -92,13 +107,13 @@ impl DetailControl {
         }
         let is_there = |gain: f64| is_there(target.max(gain / LEAD));
         let Some(_) = self.last else {
-            return target * STEP.powi(first_that(RUNGS, |rung| is_there(target * STEP.powi(rung))));
+            return target * STEP.powi(first_that(0..RUNGS, 0, |rung| is_there(target * STEP.powi(rung))));
         };
         let start = self.start(frame.detail);
         let rate = if self.arrived { RATE_PER_SEC } else { FIRST_RATE_PER_SEC };
         if target >= start {
             self.waited_secs = 0.0;
-            return target.min(start * RATE_PER_SEC.powf(dt_secs.into()));
+            return target.min(start * reach(frame));
         }
         let finest = target.max(start / rate.powf(dt_secs.into()));
         let next = target.max(start / STEP);
@@ -141,15 +156,84 @@ fn coarsened(detail: Detail, gain: f64) -> Detail {
     }
 }
 
-/// Smallest rung in `0..last` for which `fits` holds, or `last`; `fits` never turns false again.
-fn first_that(last: i32, fits: impl Fn(i32) -> bool) -> i32 {
-    if fits(0) {
-        return 0;
-    }
-    let (mut below, mut above) = (0, last);
+/// The factor by which the detail in use may get coarser in a frame.
+fn reach(frame: &Frame) -> f64 {
+    RATE_PER_SEC.powf(frame.dt_secs.max(0.0) as f64)
+}
+
+/// Smallest of `rungs` for which `fits` holds, or their end; `fits` never turns false again. Looks near `guess` first, in
+/// steps that double, so that an answer near it costs few looks; the answer does not depend on it.
+fn first_that(rungs: std::ops::Range<i32>, guess: i32, fits: impl Fn(i32) -> bool) -> i32 {
+    // Nothing at `below` fits, or it is no rung; `above` fits, or is the end.
+    let (mut below, mut above) = (rungs.start - 1, rungs.end);
+    let (mut next, mut step) = (guess, 1);
     while above - below > 1 {
-        let middle = (below + above) / 2;
-        if fits(middle) { above = middle } else { below = middle }
+        let rung = next.clamp(below + 1, above - 1);
+        if fits(rung) {
+            above = rung;
+            next = if below < rungs.start { rung - step } else { (below + rung) / 2 };
+        } else {
+            below = rung;
+            next = if above == rungs.end { rung + step } else { (rung + above) / 2 };
+        }
+        step *= 2;
     }
     above
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Prefetch;
+    use std::cell::Cell;
+
+    #[test]
+    fn the_rung_that_is_found_does_not_depend_on_the_guess_and_a_near_guess_is_cheap() {
+        for answer in [0, 1, 2, 7, 99, 200, 398, 399, 400] {
+            for guess in (-3..=403).step_by(7).chain([answer - 1, answer, answer + 1]) {
+                let looks = Cell::new(0);
+                let fits = |rung: i32| {
+                    assert!((0..RUNGS).contains(&rung));
+                    looks.set(looks.get() + 1);
+                    rung >= answer
+                };
+                assert_eq!(first_that(0..RUNGS, guess, fits), answer, "guess {guess}");
+                assert!(
+                    looks.get() <= 2 * (guess - answer).unsigned_abs().max(1).ilog2() + 4,
+                    "{answer} {guess} {looks:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_search_that_may_have_missed_finer_rungs_says_so_and_ends_where_a_full_one_does() {
+        let frame = Frame {
+            views: &[],
+            resident: &[],
+            retiring: &[],
+            failed: &[],
+            changed: None,
+            detail: Detail::ErrorPx(1.0),
+            vram_budget_bytes: 0,
+            texture_budget_bytes: 0,
+            max_triangles: 0,
+            prefetch: Prefetch::OFF,
+            dt_secs: 0.1,
+        };
+        let mut control = DetailControl { rung: 60, ..DetailControl::default() };
+        let least = STEP.powi(40) as f32;
+        let fits = |target: &Target| matches!(target.detail, Detail::ErrorPx(tau) if tau >= least);
+        let mut first = control.first_rung();
+        assert_eq!(control.search(&frame, first, fits), None);
+        let rung = loop {
+            first = (first - 7).max(0);
+            if let Some(rung) = control.search(&frame, first, fits) {
+                break rung;
+            }
+        };
+        let found = control.step(&frame, rung, &Conditions { is_there: &|_| true, may_be_drawn: &|_| true }).0.detail;
+        assert_eq!(found, Detail::ErrorPx(least));
+        assert_eq!(control.first_rung(), 40 - NEAR_RUNGS);
+    }
 }

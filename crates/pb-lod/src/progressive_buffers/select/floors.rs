@@ -3,6 +3,8 @@
 //!
 //! A floor may move freely where no view can tell: below the level that distance alone asks for at every
 //! vertex of the cluster, and in clusters that neither are visible nor have a visible neighbour.
+//!
+//! Floors that stand at their goal are looked at only when the residency of their chunks changes.
 
 use super::super::switch::Switch;
 use super::tables::{Ladder, Tables};
@@ -18,13 +20,19 @@ pub(super) struct Floors {
     floors: Vec<f32>,
     /// Per chunk of the ladder, `cluster * levels + level`: handed back in `Plan::released`; not used again before it was resident and not retiring.
     given_back: Vec<bool>,
+    /// Clusters that may have to move: not at their goal, or with chunks to hand back.
+    moving: Vec<u32>,
+    /// Per cluster: is it in `moving`?
+    moves: Vec<bool>,
 }
 
 impl Floors {
     /// All on their coarsest level.
     pub fn new(t: &Tables, ladder: Ladder) -> Floors {
-        let floors = (0..t.clusters() as u32).map(|c| t.coarsest(ladder, c) as f32).collect();
-        Floors { ladder, floors, given_back: vec![false; t.clusters() * t.levels as usize] }
+        let clusters = 0..t.clusters() as u32;
+        let floors = clusters.clone().map(|c| t.coarsest(ladder, c) as f32).collect();
+        let (given_back, moves) = (vec![false; t.clusters() * t.levels as usize], vec![true; t.clusters()]);
+        Floors { ladder, floors, given_back, moving: clusters.collect(), moves }
     }
 
     pub fn floor(&self, cluster: u32) -> f32 {
@@ -46,8 +54,10 @@ impl Floors {
         frame: &Frame,
         released: &mut Vec<ChunkId>,
     ) -> bool {
+        self.wake(t, frame.changed);
         let mut stand = true;
-        for cluster in 0..t.clusters() as u32 {
+        let mut moving = std::mem::take(&mut self.moving);
+        moving.retain(|&cluster| {
             let goal = self.goal(t, cluster, frame);
             let floor = self.floors[cluster as usize].max(goal.resident);
             let next = match floor == goal.floor && !goal.retiring {
@@ -61,8 +71,28 @@ impl Floors {
             };
             self.floors[cluster as usize] = next;
             stand &= next == goal.floor;
-        }
+            let moves = next != goal.floor || goal.retiring;
+            self.moves[cluster as usize] = moves;
+            moves
+        });
+        self.moving = moving;
         stand
+    }
+
+    /// Clusters with these chunks may move, or all where nobody knows; in order of their number.
+    fn wake(&mut self, t: &Tables, changed: Option<&[ChunkId]>) {
+        let Some(changed) = changed else {
+            self.moving = (0..t.clusters() as u32).collect();
+            self.moves.fill(true);
+            return;
+        };
+        let here = changed.iter().map(|&chunk| t.place(chunk)).filter(|(ladder, _)| *ladder == self.ladder);
+        for (_, cluster) in here {
+            if !std::mem::replace(&mut self.moves[cluster as usize], true) {
+                self.moving.push(cluster);
+            }
+        }
+        self.moving.sort_unstable();
     }
 
     /// Where the floor of a cluster has to go.

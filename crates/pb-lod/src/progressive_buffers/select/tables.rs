@@ -50,8 +50,15 @@ fn allowed_texel(switch: &Switch, reach: f32) -> f32 {
 /// A sphere in world units, relative to the model's origin.
 #[derive(Clone, Copy)]
 pub(super) struct Sphere {
-    pub center: [i32; 3],
-    pub radius: f32,
+    pub center: DVec3,
+    pub radius: f64,
+}
+
+impl Sphere {
+    /// From grid units.
+    fn new(center: [i32; 3], radius: f32, quantum: f64) -> Sphere {
+        Sphere { center: DVec3::from_array(center.map(f64::from)) * quantum, radius: f64::from(radius) * quantum }
+    }
 }
 
 /// A node of the tree, reduced to what the walk needs.
@@ -123,7 +130,7 @@ impl Tables {
             coarse_bytes: t.chunk_bytes.iter().skip(levels - 1).step_by(levels).take(count).sum(),
             all_bytes: [0; 2],
             nodes: Vec::new(),
-            spheres: t.clusters.iter().map(|c| Sphere { center: c.center, radius: c.radius }).collect(),
+            spheres: t.clusters.iter().map(|c| Sphere::new(c.center, c.radius, quantum)).collect(),
             errors: Vec::with_capacity(count * levels),
             triangles: t.levels.iter().map(|l| l.triangles).collect(),
             finer_bytes: vec![0; count * levels * kinds],
@@ -167,7 +174,11 @@ impl Tables {
     fn reduce(&self, nodes: &[NodeRecord]) -> Vec<Node> {
         let coarsest = self.levels - 1;
         let node = |n: &NodeRecord| Node {
-            sphere: Sphere { center: n.center, radius: n.radius },
+            // A leaf's sphere is its cluster's, so that one look at it is enough.
+            sphere: match n.cluster_count {
+                1 => self.spheres[n.first_cluster as usize],
+                _ => Sphere::new(n.center, n.radius, self.quantum),
+            },
             first: n.first_cluster,
             count: n.cluster_count,
             children: (n.left != u32::MAX).then_some([n.left, n.right]),
@@ -191,6 +202,15 @@ impl Tables {
 
     pub fn chunks(&self) -> usize {
         self.finer_bytes.len()
+    }
+
+    /// Ladder and cluster of a chunk.
+    pub fn place(&self, chunk: ChunkId) -> (Ladder, u32) {
+        let cluster = chunk.0 / self.levels;
+        match cluster.checked_sub(self.clusters() as u32) {
+            None => (Ladder::Geometry, cluster),
+            Some(cluster) => (Ladder::Texture, cluster),
+        }
     }
 
     /// Those that the model has.
@@ -222,12 +242,17 @@ impl Tables {
         }
     }
 
-    pub fn sphere(&self, cluster: u32) -> Sphere {
-        self.spheres[cluster as usize]
+    pub fn sphere(&self, cluster: u32) -> &Sphere {
+        &self.spheres[cluster as usize]
     }
 
     pub fn errors(&self, cluster: u32) -> &[f32] {
         &self.errors[self.row(cluster, 0)..][..self.levels as usize]
+    }
+
+    /// Of all clusters, `cluster * levels + level`.
+    pub fn all_errors(&self) -> &[f32] {
+        &self.errors
     }
 
     fn error(&self, cluster: u32, level: u32) -> f32 {
@@ -250,9 +275,7 @@ impl Tables {
         match (ladder, level + 1 < self.levels) {
             (Ladder::Texture, _) => self.tiles[cluster as usize].texel * (2u32 << level) as f32,
             (Ladder::Geometry, true) => self.error(cluster, level + 1),
-            (Ladder::Geometry, false) => {
-                (self.sphere(cluster).radius * self.quantum as f32).max(2.0 * self.error(cluster, level))
-            }
+            (Ladder::Geometry, false) => (self.sphere(cluster).radius as f32).max(2.0 * self.error(cluster, level)),
         }
     }
 

@@ -62,6 +62,7 @@ impl Bench {
             resident: &self.resident,
             retiring: &self.retiring,
             failed: &self.failed,
+            changed: None,
             detail: self.detail,
             vram_budget_bytes: self.budget,
             texture_budget_bytes: 0,
@@ -239,7 +240,8 @@ fn wants_coarser_chunks_first_and_all_that_it_would_draw() {
     let mut bench = Bench::new(4, 4);
     let eye = [view(DVec3::new(25.0, 1.0, 9.5))];
     let wants = bench.select(&eye, f32::INFINITY).wants;
-    assert!(wants.windows(2).all(|w| compare_wants(&w[0], &w[1]).is_lt()), "sorted, no chunk twice");
+    let order = |w: &Want| (std::cmp::Reverse((w.class, w.error_px.to_bits())), w.chunk);
+    assert!(wants.is_sorted_by(|a, b| order(a) < order(b)), "sorted, no chunk twice");
     let place = |chunk: u32| wants.iter().position(|w| w.chunk.0 == chunk);
     for want in wants.iter().filter(|w| w.chunk.0 % 4 < 3) {
         let coarser = place(want.chunk.0 + 1).expect("a finer chunk is of no use without its coarser ones");

@@ -47,6 +47,7 @@ impl Bench {
             resident: &self.resident,
             retiring: &self.retiring,
             failed: &self.failed,
+            changed: None,
             detail: Detail::ErrorPx(tau),
             vram_budget_bytes: u64::MAX,
             texture_budget_bytes: budget,

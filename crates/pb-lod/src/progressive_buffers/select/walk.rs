@@ -25,12 +25,22 @@ pub(super) enum Place {
     Visible,
 }
 
+/// What a walk looks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Scope {
+    /// All that is not coarsest at this fraction of its distance, wherever it is.
+    Around(f32),
+    /// What touches a frustum, and the neighbours of it: their floors move triangles that are seen. Neighbours stand
+    /// [`Place::Elsewhere`].
+    Drawn,
+}
+
 /// A cluster that is drawn on its own, or that may be wanted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub cluster: u32,
     pub place: Place,
-    /// It is visible, or its floor moves a border with one that is, and so triangles that are seen.
+    /// Touches a frustum, or a cluster that does: its floor moves triangles that are seen.
     pub shows: bool,
     /// Comparable with switch distances; see [`Eyes::reach`].
     pub reach: f32,
@@ -41,8 +51,9 @@ pub(super) struct Seen {
 }
 
 /// What a walk found.
+#[derive(Default)]
 pub(super) struct Walk {
-    /// Clusters that are not certainly coarsest, in tree order.
+    /// Clusters that are not certainly coarsest: in tree order, neighbours last.
     pub seen: Vec<Seen>,
     /// Runs of visible clusters that are certainly coarsest.
     pub coarse: Vec<Range<u32>>,
@@ -50,6 +61,19 @@ pub(super) struct Walk {
     pub visible: Vec<bool>,
     /// Bound of the projected error of the coarse runs, pixels.
     pub coarse_error_px: f32,
+    /// Per cluster: found as a neighbour; all false between walks.
+    beside: Vec<bool>,
+    stack: Vec<Visit>,
+}
+
+/// A node that is still to be visited.
+#[derive(Clone, Copy)]
+struct Visit {
+    node: u32,
+    /// It lies inside one frustum as a whole.
+    whole: bool,
+    /// Eyes that may see it, a bit each; eyes past the 64th share bits.
+    eyes: u64,
 }
 
 struct Eye {
@@ -65,6 +89,10 @@ struct Eye {
 pub(super) struct Eyes {
     eyes: Vec<Eye>,
     quantum: f64,
+    /// All eyes have the same pixels, so the nearest one has the smallest reach.
+    alike: bool,
+    /// Smallest of the eyes' units.
+    unit: f64,
 }
 
 impl Eyes {
@@ -84,49 +112,76 @@ impl Eyes {
                 Detail::Bands { .. } => 1.0,
             },
         };
-        Eyes { eyes: views.iter().map(eye).collect(), quantum: t.quantum }
+        let eyes: Vec<Eye> = views.iter().map(eye).collect();
+        let alike = eyes.windows(2).all(|w| w[0].pixel_angle == w[1].pixel_angle);
+        let unit = eyes.iter().map(|e| e.unit).fold(f64::INFINITY, f64::min);
+        Eyes { eyes, quantum: t.quantum, alike, unit }
     }
 
     /// Reach and pixel size of a sphere's nearest point: the smallest over the views. A reach is the distance
     /// (bands) or the distance times the pixel angle (errors), so that one table serves all views; it is
     /// rounded down so that no vertex in the sphere is nearer in the shader's f32 (design section 3).
     fn reach_of(&self, sphere: &Sphere) -> (f32, f32) {
-        let (mut reach, mut pixel) = (f64::INFINITY, f64::INFINITY);
-        for eye in &self.eyes {
-            let (offset, radius) = self.place_sphere(eye, sphere);
-            let near = (offset.length() - radius).max(0.0);
-            reach = reach.min((near * (1.0 - ROUNDING) - self.quantum).max(0.0) * eye.unit);
-            pixel = pixel.min(near.max(self.quantum) * eye.pixel_angle);
-        }
-        (reach as f32, pixel as f32)
+        let squared = |eye: &Eye| (sphere.center - eye.position).length_squared();
+        let (reach, pixel) = match &self.eyes[..] {
+            [first, rest @ ..] if self.alike => {
+                self.seen_at(first, sphere, rest.iter().map(squared).fold(squared(first), f64::min))
+            }
+            eyes => {
+                let each = eyes.iter().map(|eye| self.seen_at(eye, sphere, squared(eye)));
+                each.fold((f32::INFINITY, f32::INFINITY), |a, b| (a.0.min(b.0), a.1.min(b.1)))
+            }
+        };
+        (reach, pixel)
+    }
+
+    /// Reach and pixel size of a sphere for one eye, from the square of the distance to its centre.
+    fn seen_at(&self, eye: &Eye, sphere: &Sphere, squared: f64) -> (f32, f32) {
+        let near = (squared.sqrt() - sphere.radius).max(0.0);
+        let reach = (near * (1.0 - ROUNDING) - self.quantum).max(0.0) * eye.unit;
+        (reach as f32, (near.max(self.quantum) * eye.pixel_angle) as f32)
     }
 
     /// Reach and pixel size of a cluster.
     pub fn reach(&self, t: &Tables, cluster: u32) -> (f32, f32) {
-        self.reach_of(&t.sphere(cluster))
-    }
-
-    /// Offset from the eye and radius of a sphere, world units.
-    fn place_sphere(&self, eye: &Eye, sphere: &Sphere) -> (DVec3, f64) {
-        let center = DVec3::from_array(sphere.center.map(|v| v as f64)) * self.quantum;
-        (center - eye.position, sphere.radius as f64 * self.quantum)
+        self.reach_of(t.sphere(cluster))
     }
 
     /// Best place over all views; the flag says that the whole sphere is inside one frustum.
     fn place(&self, sphere: &Sphere) -> (Place, bool) {
         let (mut best, mut whole) = (Place::Elsewhere, false);
         for eye in &self.eyes {
-            let (offset, radius) = self.place_sphere(eye, sphere);
+            let offset = sphere.center - eye.position;
             let depth = eye.planes.iter().map(|(n, w)| n.dot(offset) + w).fold(f64::INFINITY, f64::min);
             let place = match depth {
-                d if d >= -radius => Place::Visible,
-                d if d >= -radius - RING * offset.length() => Place::Ring,
+                d if d >= -sphere.radius => Place::Visible,
+                d if d >= -sphere.radius - RING * offset.length() => Place::Ring,
                 _ => Place::Elsewhere,
             };
             best = best.max(place);
-            whole |= depth >= radius;
+            whole |= depth >= sphere.radius;
         }
         (best, whole)
+    }
+
+    /// Those of `among` that see a sphere; the flag says that one of them has the whole of it.
+    fn seen_by(&self, sphere: &Sphere, among: u64) -> (u64, bool) {
+        let mut by = 0;
+        for (i, eye) in self.eyes.iter().enumerate().filter(|(i, _)| among >> (i % 64) & 1 != 0) {
+            let offset = sphere.center - eye.position;
+            let mut depth = f64::INFINITY;
+            for (n, w) in &eye.planes {
+                depth = depth.min(n.dot(offset) + w);
+                if depth < -sphere.radius {
+                    break;
+                }
+            }
+            if depth >= sphere.radius {
+                return (among, true);
+            }
+            by |= u64::from(depth >= -sphere.radius) << (i % 64);
+        }
+        (by, false)
     }
 
     /// Projected size of an error whose nearest point has this pixel size; at most one radian.
@@ -136,48 +191,92 @@ impl Eyes {
     }
 }
 
-/// Walks the tree. Subtrees that stay coarsest even at `margin` times their distance are not entered, except
-/// to cull their invisible parts.
-pub(super) fn walk(t: &Tables, eyes: &Eyes, switch: &Switch, margin: f32) -> Walk {
-    let mut out =
-        Walk { seen: Vec::new(), coarse: Vec::new(), visible: vec![false; t.clusters()], coarse_error_px: 0.0 };
-    let mut stack = if t.nodes.is_empty() { vec![] } else { vec![0u32] };
-    let coarsest = t.levels as usize - 1;
-    while let Some(index) = stack.pop() {
-        let node = &t.nodes[index as usize];
-        let (place, whole) = eyes.place(&node.sphere);
-        let (reach, pixel) = eyes.reach_of(&node.sphere);
-        let farthest_switch = match &switch.bands {
-            Some(bands) => bands[coarsest],
-            None => node.error * switch.scale,
-        };
-        let coarse = reach * margin >= farthest_switch && t.textures_coarse(switch, node, reach * margin);
-        let clusters = node.first..node.first + node.count;
-        match node.children {
-            _ if coarse && place < Place::Visible => {}
-            Some(children) if !(coarse && whole) => stack.extend(children.iter().rev()),
-            _ if coarse => {
-                out.visible[clusters.start as usize..clusters.end as usize].fill(true);
-                out.coarse_error_px = out.coarse_error_px.max(eyes.error_px(node.error, pixel));
-                out.coarse.push(clusters);
+impl Walk {
+    /// Walks the tree. Subtrees that stay coarsest are not entered, except to cull their invisible parts; what lies
+    /// inside a frustum as a whole is not culled again.
+    /// The switches are those of geometry and textures.
+    pub fn go(&mut self, t: &Tables, eyes: &Eyes, [switch, textures]: &[Switch; 2], scope: Scope) {
+        self.seen.clear();
+        self.coarse.clear();
+        self.visible.clear();
+        self.visible.resize(t.clusters(), false);
+        self.coarse_error_px = 0.0;
+        let margin = if let Scope::Around(margin) = scope { margin } else { 1.0 };
+        let farthest = switch.bands.as_ref().map(|bands| bands[t.levels as usize - 1]);
+        if !t.nodes.is_empty() {
+            self.stack.push(Visit { node: 0, whole: false, eyes: u64::MAX });
+        }
+        while let Some(visit) = self.stack.pop() {
+            let node = &t.nodes[visit.node as usize];
+            let (place, visit) = look(eyes, &node.sphere, visit, scope);
+            if place < Place::Visible && scope == Scope::Drawn {
+                continue;
             }
-            _ => clusters.for_each(|c| out.see(t, eyes, c)),
+            let (reach, pixel) = eyes.reach_of(&node.sphere);
+            let farthest_switch = farthest.unwrap_or(node.error * switch.scale);
+            let coarse = reach * margin >= farthest_switch && t.textures_coarse(textures, node, reach * margin);
+            let clusters = node.first..node.first + node.count;
+            match node.children {
+                _ if coarse && place < Place::Visible => {}
+                Some(children) if !(coarse && visit.whole) => {
+                    self.stack.extend(children.iter().rev().map(|&node| Visit { node, ..visit }));
+                }
+                _ if coarse => {
+                    self.visible[clusters.start as usize..clusters.end as usize].fill(true);
+                    self.coarse_error_px = self.coarse_error_px.max(eyes.error_px(node.error, pixel));
+                    self.coarse.push(clusters);
+                }
+                _ => clusters.for_each(|c| self.see(t, eyes, c, place, (reach, pixel))),
+            }
+        }
+        match scope {
+            Scope::Drawn => self.see_neighbours(t, eyes),
+            Scope::Around(_) => {
+                let Walk { seen, visible, .. } = self;
+                for s in seen.iter_mut().filter(|s| !s.shows) {
+                    s.shows = t.neighbours(s.cluster).iter().any(|&c| visible[c as usize]);
+                }
+            }
         }
     }
-    let visible = &out.visible;
-    for seen in out.seen.iter_mut().filter(|s| !s.shows) {
-        seen.shows = t.neighbours(seen.cluster).iter().any(|&c| visible[c as usize]);
+
+    /// Runs need no look at their neighbours: what lies inside a frustum as a whole has its borders there, and so touches
+    /// no cluster that is out of sight.
+    fn see_neighbours(&mut self, t: &Tables, eyes: &Eyes) {
+        let visible = self.seen.len();
+        self.beside.resize(t.clusters(), false);
+        for i in 0..visible {
+            for &c in t.neighbours(self.seen[i].cluster) {
+                if !self.visible[c as usize] && !std::mem::replace(&mut self.beside[c as usize], true) {
+                    self.see(t, eyes, c, Place::Elsewhere, eyes.reach(t, c));
+                    self.seen.last_mut().expect("it was just pushed").shows = true;
+                }
+            }
+        }
+        self.seen[visible..].iter().for_each(|s| self.beside[s.cluster as usize] = false);
     }
-    out
+
+    fn see(&mut self, t: &Tables, eyes: &Eyes, cluster: u32, place: Place, (reach, pixel): (f32, f32)) {
+        let shows = place == Place::Visible;
+        self.visible[cluster as usize] = shows;
+        let girth = (t.sphere(cluster).radius * eyes.unit) as f32;
+        self.seen.push(Seen { cluster, place, shows, reach, girth, pixel });
+    }
 }
 
-impl Walk {
-    fn see(&mut self, t: &Tables, eyes: &Eyes, cluster: u32) {
-        let (reach, pixel) = eyes.reach(t, cluster);
-        let place = eyes.place(&t.sphere(cluster)).0;
-        self.visible[cluster as usize] = place == Place::Visible;
-        let unit = eyes.eyes.iter().map(|e| e.unit).fold(f64::INFINITY, f64::min);
-        let girth = (t.sphere(cluster).radius as f64 * eyes.quantum * unit) as f32;
-        self.seen.push(Seen { cluster, place, shows: place == Place::Visible, reach, girth, pixel });
+/// Where a node is, from where its parent was; and what its children inherit.
+fn look(eyes: &Eyes, sphere: &Sphere, parent: Visit, scope: Scope) -> (Place, Visit) {
+    if parent.whole {
+        return (Place::Visible, parent);
+    }
+    match scope {
+        Scope::Around(_) => {
+            let (place, whole) = eyes.place(sphere);
+            (place, Visit { whole, ..parent })
+        }
+        Scope::Drawn => {
+            let (by, whole) = eyes.seen_by(sphere, parent.eyes);
+            (if by == 0 { Place::Elsewhere } else { Place::Visible }, Visit { whole, eyes: by, ..parent })
+        }
     }
 }
