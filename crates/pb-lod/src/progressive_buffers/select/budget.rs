@@ -68,6 +68,12 @@ impl DetailControl {
         (self.rung - NEAR_RUNGS).max(0)
     }
 
+    /// The next search looks at all rungs.
+    #[cfg(test)]
+    pub fn forget_rung(&mut self) {
+        self.rung = 0;
+    }
+
     /// The finest detail that [`search`](Self::search) asks the cost of and [`step`](Self::step) returns or asks the cost of,
     /// where the search looks at `first` and coarser rungs.
     pub fn finest(&self, frame: &Frame, first: i32) -> Detail {

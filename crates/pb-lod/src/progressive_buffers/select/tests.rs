@@ -472,3 +472,56 @@ fn the_error_rises_until_what_is_seen_soon_fits_too() {
     assert!(bytes(&bench, &plan) <= bench.budget, "{} of {}", bytes(&bench, &plan), bench.budget);
     assert!(alone == 1.0 && error(plan) > alone);
 }
+
+/// The short cuts of a frame: floors at rest are not looked at, the search begins at the last answer, and the walk goes
+/// only as deep as that needs.
+#[test]
+fn what_is_remembered_of_the_last_frame_saves_work_and_changes_nothing() {
+    let torus = GridTorus::new(8, 5);
+    let chunks = torus.chunks();
+    let all: u64 = torus.chunk_bytes.iter().sum();
+    let (mut quick, mut thorough) = (Selector::new(&torus.tables()), Selector::new(&torus.tables()));
+    let mut resident: Vec<bool> = (0..chunks).map(|c| c % 5 == 4).collect();
+    let mut retiring = vec![false; chunks];
+    let (mut finer, mut moved) = (0, 0);
+    for step in 0..300u64 {
+        let noise = |k: u64| (step * 97 + k * 31).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
+        let mut changed = Vec::new();
+        for k in 0..noise(1) % 5 {
+            let chunk = (noise(k + 2) % chunks as u64) as usize;
+            resident[chunk] = chunk % 5 == 4 || noise(k + 9) % 4 > 0;
+            retiring[chunk] = resident[chunk] && chunk % 5 < 4 && noise(k + 17) % 3 == 0;
+            changed.push(ChunkId(chunk as u32));
+        }
+        let eye = |ahead: f64| {
+            let t = (step as f64 + ahead) * 0.02;
+            view(DVec3::new(24.0 * t.cos(), 3.0 + 20.0 * (0.3 * t).sin().abs(), 24.0 * t.sin()))
+        };
+        let (soon, later) = ([eye(8.0), eye(16.0)], [eye(40.0)]);
+        let frame = Frame {
+            views: &[eye(0.0)],
+            resident: &resident,
+            retiring: &retiring,
+            failed: &vec![false; chunks],
+            changed: Some(&changed),
+            detail: Detail::ErrorPx(0.2),
+            vram_budget_bytes: all / if step / 25 % 2 == 0 { 3 } else { 40 },
+            texture_budget_bytes: 0,
+            max_triangles: if step < 200 { u64::MAX } else { 400 },
+            prefetch: match step / 30 % 3 {
+                0 => Prefetch::OFF,
+                1 => Prefetch { around: false, soon: &soon, later: &later },
+                _ => Prefetch { around: true, soon: &soon, later: &later },
+            },
+            dt_secs: 0.05,
+        };
+        let before = quick.controls[0].first_rung();
+        let found = quick.select(&frame);
+        thorough.controls.iter_mut().for_each(DetailControl::forget_rung);
+        let expected = thorough.select(&Frame { changed: None, ..frame });
+        assert_eq!(format!("{found:?}"), format!("{expected:?}"), "frame {step}");
+        let after = quick.controls[0].first_rung();
+        (finer, moved) = (finer + (after + 4 < before) as u32, moved + (after != before) as u32);
+    }
+    assert!(finer > 1 && moved > 30, "the walk had to go deeper {finer} times, the search moved {moved} times");
+}
