@@ -40,6 +40,10 @@ bench-charts *MESHES:
 bench-reads *ARGS:
     tools/bench-reads {{ARGS}}
 
+# time of a frame's work on the processor, by number of clusters: selection, cache, commands
+bench-frame *ARGS:
+    tools/bench-frame {{ARGS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}
