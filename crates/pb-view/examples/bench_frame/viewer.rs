@@ -48,7 +48,7 @@ impl Ahead {
     pub fn says(&self) -> &'static str {
         match self {
             Ahead::Off => "Nothing is loaded ahead (`--no-prefetch`)",
-            Ahead::Motion => "Prefetch from motion: around, 2 cameras soon, 1 later",
+            Ahead::Motion => "Prefetch from motion: 2 cameras soon, 1 later",
             Ahead::Path => "Prefetch along the flypath, 2 s ahead: up to 5 cameras soon, 4 later",
         }
     }

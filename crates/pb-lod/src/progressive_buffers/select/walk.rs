@@ -6,7 +6,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec4Swizzles};
 
 use super::super::switch::Switch;
-use super::tables::{Sphere, Tables};
+use super::tables::{Node, Sphere, Tables};
 use crate::plan::{Detail, View};
 
 /// Frusta widen by this fraction of the distance for what may come into view next: about 17 degrees.
@@ -164,8 +164,9 @@ impl Eyes {
         (best, whole)
     }
 
-    /// Those of `among` that see a sphere; the flag says that one of them has the whole of it.
-    fn seen_by(&self, sphere: &Sphere, among: u64) -> (u64, bool) {
+    /// Those of `among` that see a sphere; the flag says that one of them has the whole of it. Of those that see a leaf the
+    /// first is enough: nobody asks its children.
+    fn seen_by(&self, sphere: &Sphere, among: u64, is_leaf: bool) -> (u64, bool) {
         let mut by = 0;
         for (i, eye) in self.eyes.iter().enumerate().filter(|(i, _)| among >> (i % 64) & 1 != 0) {
             let offset = sphere.center - eye.position;
@@ -180,6 +181,9 @@ impl Eyes {
                 return (among, true);
             }
             by |= u64::from(depth >= -sphere.radius) << (i % 64);
+            if is_leaf && by != 0 {
+                break;
+            }
         }
         (by, false)
     }
@@ -208,7 +212,7 @@ impl Walk {
         }
         while let Some(visit) = self.stack.pop() {
             let node = &t.nodes[visit.node as usize];
-            let (place, visit) = look(eyes, &node.sphere, visit, scope);
+            let (place, visit) = look(eyes, node, visit, scope);
             if place < Place::Visible && scope == Scope::Drawn {
                 continue;
             }
@@ -265,17 +269,17 @@ impl Walk {
 }
 
 /// Where a node is, from where its parent was; and what its children inherit.
-fn look(eyes: &Eyes, sphere: &Sphere, parent: Visit, scope: Scope) -> (Place, Visit) {
+fn look(eyes: &Eyes, node: &Node, parent: Visit, scope: Scope) -> (Place, Visit) {
     if parent.whole {
         return (Place::Visible, parent);
     }
     match scope {
         Scope::Around(_) => {
-            let (place, whole) = eyes.place(sphere);
+            let (place, whole) = eyes.place(&node.sphere);
             (place, Visit { whole, ..parent })
         }
         Scope::Drawn => {
-            let (by, whole) = eyes.seen_by(sphere, parent.eyes);
+            let (by, whole) = eyes.seen_by(&node.sphere, parent.eyes, node.children.is_none());
             (if by == 0 { Place::Elsewhere } else { Place::Visible }, Visit { whole, eyes: by, ..parent })
         }
     }
