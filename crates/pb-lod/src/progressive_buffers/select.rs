@@ -307,13 +307,14 @@ fn aim(
     }
 }
 
-/// The budgets without what is kept free for prefetching.
+/// The budgets without what is kept free for prefetching: a part of what comes and goes, not of the coarse buffer.
 fn rooms(t: &Tables, frame: &Frame) -> [u64; 2] {
-    let kept_free = |budget: u64, all: u64| match frame.prefetch.is_off() || budget >= all {
+    let kept_free = |budget: u64, all: u64, always: u64| match frame.prefetch.is_off() || budget >= all {
         true => budget,
-        false => budget - budget / PREFETCH_SHARE,
+        false => budget - budget.saturating_sub(always) / PREFETCH_SHARE,
     };
-    [kept_free(frame.vram_budget_bytes, t.all_bytes[0]), kept_free(frame.texture_budget_bytes, t.all_bytes[1])]
+    let [all, all_textures] = t.all_bytes;
+    [kept_free(frame.vram_budget_bytes, all, t.coarse_bytes), kept_free(frame.texture_budget_bytes, all_textures, 0)]
 }
 
 /// Whether all chunks that are drawn at a target are resident, but for those that cannot be.

@@ -525,3 +525,16 @@ fn what_is_remembered_of_the_last_frame_saves_work_and_changes_nothing() {
     }
     assert!(finer > 1 && moved > 20, "the walk had to go deeper {finer} times, the search moved {moved} times");
 }
+
+#[test]
+fn a_coarse_buffer_that_fills_most_of_the_budget_leaves_the_rest_to_detail_when_prefetching() {
+    let mut bench = Bench::new(4, 4).all_resident();
+    let coarse: u64 = bench.torus.chunk_bytes.iter().skip(3).step_by(4).sum();
+    // Selection has to fit one chunk of the next level, but a 16th of the whole budget would be more than that.
+    bench.torus.chunk_bytes.iter_mut().skip(3).step_by(4).for_each(|bytes| *bytes *= 1000);
+    bench.selector = Selector::new(&bench.torus.tables());
+    let finer = bench.torus.chunk_bytes.iter().enumerate().filter(|(c, _)| c % 4 != 3).map(|(_, bytes)| bytes);
+    bench.budget = 1000 * coarse + finer.sum::<u64>() / 2;
+    let plan = bench.select(&[view(DVec3::new(25.0, 1.0, 9.5))], f32::INFINITY);
+    assert!(matches!(plan.detail, Some(Detail::ErrorPx(tau)) if tau < 100.0), "{:?}", plan.detail);
+}
