@@ -25,6 +25,10 @@ pub(super) struct Goals {
     standing_bytes: [u64; POOLS],
 }
 
+/// What stands in VRAM and is no goal; the least goes first: unwanted, then least urgent, longest unused, longest chain,
+/// number.
+type Leftover = (bool, Reverse<u32>, u32, Reverse<u8>, ChunkId);
+
 /// Half octaves of the error: within one, what is resident comes first, so that chunks of nearly equal errors do not
 /// push one another out of VRAM frame by frame.
 fn error_step(error_px: f32) -> i32 {
@@ -235,8 +239,8 @@ impl Cache {
         self.vram_size(chunk)
     }
 
-    /// Leftovers of a pool, first to go on top: unwanted, then least urgent, longest unused, long chain, number.
-    fn vram_victims(&self, pool: usize) -> BinaryHeap<Reverse<(bool, Reverse<u32>, u32, Reverse<u8>, ChunkId)>> {
+    /// Leftovers of a pool, first to go on top.
+    fn vram_victims(&self, pool: usize) -> BinaryHeap<Reverse<Leftover>> {
         let leftover = self.in_vram.list(resident_in(pool)).iter().filter(|c| !self.is_goal(**c));
         let key = |&c: &ChunkId| {
             let mark = &self.marks[c.0 as usize];
