@@ -93,6 +93,8 @@ impl DetailControl {
         let at = |gain: f64| Target::new(frame.detail, gain);
         let target = STEP.powi(rung);
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
+        // What may not be drawn is a bound, no data that is still to come.
+        self.rises = gain > target;
         let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(coarsened(frame.detail, gain));
         let gain = match may_be_drawn(gain) {
             true => gain,
@@ -100,7 +102,6 @@ impl DetailControl {
         };
         self.last = Some((frame.detail, gain));
         self.settled = gain == target;
-        self.rises = gain > target;
         self.arrived |= gain <= target;
         (at(target), at(gain))
     }
@@ -139,7 +140,7 @@ impl DetailControl {
         self.settled
     }
 
-    /// True when a finer detail would fit.
+    /// True when a finer detail would fit, and waits for its data or for its turn.
     pub fn rises(&self) -> bool {
         self.rises
     }
