@@ -83,6 +83,8 @@ pub struct Frame<'a> {
     pub max_triangles: u64,
     /// What is loaded before it is drawn.
     pub prefetch: Prefetch<'a>,
+    /// These views have little in common with those of the last frame: what comes late for them may fade in faster.
+    pub cut: bool,
     /// Seconds since the last frame: how far residency floors may move. `f32::INFINITY` settles them at once.
     pub dt_secs: f32,
 }

@@ -6,6 +6,7 @@
 use glam::{DQuat, DVec3};
 
 use crate::flypath::{Flypath, Keyframe};
+use crate::report::cuts::jumps;
 
 /// Cameras of a flight that come within this time are wanted in VRAM, later ones in RAM; seconds.
 const SOON_SECS: f64 = 0.5;
@@ -26,6 +27,8 @@ const MAX_TURN: f64 = 1.5;
 /// Cameras that are expected, and whether the view's surroundings are wanted too.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Expected {
+    /// This camera has little in common with the last one.
+    pub cut: bool,
     /// See [`pb_lod::plan::Prefetch`].
     pub around: bool,
     /// What they draw is wanted in VRAM.
@@ -49,7 +52,7 @@ pub fn along(flight: &Flypath, t: f64, lookahead: f64) -> Expected {
     if end > middle {
         later.push(flight.at(end));
     }
-    Expected { around: false, soon, later }
+    Expected { soon, later, ..Expected::default() }
 }
 
 /// How the camera moves.
@@ -63,10 +66,12 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The camera of the next frame, `dt_secs` after the last one. A standing clock says nothing.
-    pub fn add(&mut self, key: &Keyframe, dt_secs: f64) {
-        if self.last.is_some_and(|last| last.eye.distance(key.eye) > last.eye.distance(last.target)) {
-            *self = Motion::default(); // a cut: what it did before says nothing
+    /// The camera of the next frame, `dt_secs` after the last one. A standing clock says nothing. True at a cut, and at the
+    /// start.
+    pub fn add(&mut self, key: &Keyframe, dt_secs: f64) -> bool {
+        let cut = self.last.is_none_or(|last| jumps(&last, key));
+        if cut {
+            *self = Motion::default(); // what it did before says nothing
         }
         if let Some(last) = self.last.filter(|_| dt_secs > 0.0 && dt_secs.is_finite()) {
             let share = 1.0 - (-dt_secs / SMOOTH_SECS).exp();
@@ -75,6 +80,7 @@ impl Motion {
             self.spin = self.spin.lerp(turn, share);
         }
         self.last = Some(*key);
+        cut
     }
 
     /// The cameras that this motion leads to until data that is asked for now is here.
@@ -85,7 +91,7 @@ impl Motion {
         let at = |share: f64| self.after(key, horizon * share);
         match still {
             true => Expected { around: true, ..Expected::default() },
-            false => Expected { around: false, soon: vec![at(0.5), at(1.0)], later: vec![at(2.0)] },
+            false => Expected { soon: vec![at(0.5), at(1.0)], later: vec![at(2.0)], ..Expected::default() },
         }
     }
 
@@ -133,12 +139,13 @@ impl Prefetcher {
         flight: Option<(&Flypath, f64)>,
         latency: &Latency,
     ) -> Expected {
-        self.motion.add(key, dt_secs);
-        match flight {
+        let cut = self.motion.add(key, dt_secs);
+        let expected = match flight {
             _ if self.off => Expected::default(),
             Some((flight, t)) if self.lookahead > 0.0 => along(flight, t, self.lookahead),
             _ => self.motion.expected(latency.secs()),
-        }
+        };
+        Expected { cut, ..expected }
     }
 }
 
@@ -179,7 +186,7 @@ mod tests {
             let angle = 0.5 * t;
             key(t, DVec3::new(3.0 * t, 0.0, 1.0), DVec3::new(angle.sin(), 0.0, -angle.cos()))
         };
-        (0..120).for_each(|i| motion.add(&at(i as f64 / 60.0), 1.0 / 60.0));
+        (0..120).for_each(|i| assert_eq!(motion.add(&at(i as f64 / 60.0), 1.0 / 60.0), i == 0));
         let expected = motion.expected(0.3);
         let now = 119.0 / 60.0;
         assert!(!expected.around);
@@ -188,14 +195,14 @@ mod tests {
             assert!(found.eye.distance(truth.eye) < 0.01, "{found:?} {truth:?}");
             assert!(direction(found).distance(direction(&truth)) < 0.01, "{found:?} {truth:?}");
         }
-        motion.add(&key(3.0, DVec3::Y * 1e3, DVec3::X), 1.0 / 60.0);
+        assert!(motion.add(&key(3.0, DVec3::Y * 1e3, DVec3::X), 1.0 / 60.0), "a cut");
         assert_eq!(motion.expected(0.2), Expected { around: true, ..Expected::default() });
     }
 
     #[test]
     fn a_camera_at_rest_expects_nothing_but_its_surroundings() {
         let mut motion = Motion::default();
-        (0..10).for_each(|_| motion.add(&key(0.0, DVec3::Z, -DVec3::Z), 0.1));
+        (0..10).for_each(|i| assert_eq!(motion.add(&key(0.0, DVec3::Z, -DVec3::Z), 0.1), i == 0));
         assert_eq!(motion.expected(1.0), Expected { around: true, ..Expected::default() });
     }
 

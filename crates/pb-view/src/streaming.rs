@@ -232,6 +232,7 @@ impl Streaming {
             texture_budget_bytes: self.budgets[1],
             max_triangles: self.max_triangles,
             prefetch: Prefetch { around: self.expected.around, soon: &soon, later: &later },
+            cut: self.expected.cut,
             dt_secs,
         };
         self.plan = self.selector.select(&frame);

@@ -298,6 +298,7 @@ impl Views {
             texture_budget_bytes: budgets[1],
             max_triangles: u64::MAX,
             prefetch: Prefetch { around: self.around, soon: &self.soon, later: &self.later },
+            cut: false,
             dt_secs: (1.0 / FPS) as f32,
         }
     }
@@ -351,6 +352,7 @@ fn bytes_wanted(city: &City, selector: &mut Selector, flight: &Flypath) -> [u64;
             texture_budget_bytes: u64::MAX,
             max_triangles: u64::MAX,
             prefetch: Prefetch::OFF,
+            cut: false,
             dt_secs: f32::INFINITY,
         });
         let mut bytes = [0; 2];

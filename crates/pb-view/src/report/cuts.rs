@@ -34,6 +34,12 @@ impl Step {
     }
 }
 
+/// True when two cameras have little in common, whatever came before.
+pub fn jumps(before: &Keyframe, after: &Keyframe) -> bool {
+    let step = Step::new(before, after);
+    step.moved > step.far || step.turned > step.wide
+}
+
 /// True when frame `frame` of a flight begins a cut.
 pub fn is_cut(flight: &Flypath, frame: u32) -> bool {
     // The step that leads to a frame; none to the first one and past the end.

@@ -270,6 +270,7 @@ impl<'a> World<'a> {
             texture_budget_bytes: self.budgets[1],
             max_triangles: u64::MAX,
             prefetch: Prefetch { around: self.around, soon: &[], later: &[] },
+            cut: self.tally.frames.is_multiple_of(100),
             dt_secs: DT_SECS,
         });
         self.check_plan(&plan)?;

@@ -15,9 +15,9 @@ const RUNGS: i32 = 400;
 const NEAR_RUNGS: i32 = 2;
 /// The detail in use changes by at most this factor per second: 3 % at 60 frames per second.
 const RATE_PER_SEC: f64 = 5.9;
-/// The same while the first detail is reached: as fast as floors let data fade in, a level (about 4 times the error) per
-/// 0.3 s.
-const FIRST_RATE_PER_SEC: f64 = 100.0;
+/// The same while the first detail is reached: as fast as floors let data fade in after a cut, a level (about 4 times the
+/// error) per 0.1 s.
+const FIRST_RATE_PER_SEC: f64 = 1e6;
 /// The detail in use gets finer when what this many times smaller an error needs is there too: the camera moves on while
 /// the rest is read.
 const LEAD: f64 = 1.25;
@@ -226,6 +226,7 @@ mod tests {
             texture_budget_bytes: 0,
             max_triangles: 0,
             prefetch: Prefetch::OFF,
+            cut: false,
             dt_secs: 0.1,
         };
         let mut control = DetailControl { rung: 60, ..DetailControl::default() };

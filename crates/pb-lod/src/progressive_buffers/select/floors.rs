@@ -13,6 +13,9 @@ use crate::plan::{ChunkId, Frame};
 
 /// Speed of a floor where it shows, levels per second: late data takes 0.3 s per level.
 const LEVELS_PER_SEC: f32 = 1.0 / 0.3;
+/// The same for so many seconds after a cut: the whole picture has just changed, and is wanted sharp soon.
+const LEVELS_PER_SEC_AFTER_CUT: f32 = 1.0 / 0.1;
+const AFTER_CUT_SECS: f32 = 1.0;
 
 pub(super) struct Floors {
     ladder: Ladder,
@@ -24,6 +27,8 @@ pub(super) struct Floors {
     moving: Vec<u32>,
     /// Per cluster: is it in `moving`?
     moves: Vec<bool>,
+    /// What is left of [`AFTER_CUT_SECS`].
+    after_cut_secs: f32,
 }
 
 impl Floors {
@@ -32,7 +37,7 @@ impl Floors {
         let clusters = 0..t.clusters() as u32;
         let floors = clusters.clone().map(|c| t.coarsest(ladder, c) as f32).collect();
         let (given_back, moves) = (vec![false; t.clusters() * t.levels as usize], vec![true; t.clusters()]);
-        Floors { ladder, floors, given_back, moving: clusters.collect(), moves }
+        Floors { ladder, floors, given_back, moving: clusters.collect(), moves, after_cut_secs: 0.0 }
     }
 
     pub fn floor(&self, cluster: u32) -> f32 {
@@ -55,6 +60,9 @@ impl Floors {
         released: &mut Vec<ChunkId>,
     ) -> bool {
         self.wake(t, frame.changed);
+        self.after_cut_secs = if frame.cut { AFTER_CUT_SECS } else { self.after_cut_secs - frame.dt_secs.max(0.0) };
+        let levels_per_sec = if self.after_cut_secs > 0.0 { LEVELS_PER_SEC_AFTER_CUT } else { LEVELS_PER_SEC };
+        let most_levels = levels_per_sec * frame.dt_secs.max(0.0);
         let mut stand = true;
         let mut moving = std::mem::take(&mut self.moving);
         moving.retain(|&cluster| {
@@ -64,7 +72,7 @@ impl Floors {
                 true => floor,
                 false => {
                     let free = self.free_up_to(t, eyes, switch, walk, cluster);
-                    let next = moved(floor, goal.floor, free, frame.dt_secs);
+                    let next = moved(floor, goal.floor, free, most_levels);
                     self.release(t, cluster, next.max(free), frame, released);
                     next
                 }
@@ -157,9 +165,8 @@ struct Goal {
     retiring: bool,
 }
 
-/// One step of a floor towards its goal; only the part above `free` has to be slow.
-fn moved(floor: f32, goal: f32, free: f32, dt_secs: f32) -> f32 {
-    let step = if dt_secs > 0.0 { LEVELS_PER_SEC * dt_secs } else { 0.0 };
+/// One step of a floor towards its goal; only the part above `free` has to be slow, at most `step` levels.
+fn moved(floor: f32, goal: f32, free: f32, step: f32) -> f32 {
     if goal <= free && floor <= free {
         goal
     } else if goal > floor {

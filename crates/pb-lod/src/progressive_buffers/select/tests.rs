@@ -25,6 +25,7 @@ struct Bench {
     resident: Vec<bool>,
     retiring: Vec<bool>,
     failed: Vec<bool>,
+    cut: bool,
     detail: Detail,
     budget: u64,
 }
@@ -42,6 +43,7 @@ impl Bench {
             resident,
             retiring: vec![false; chunks],
             failed: vec![false; chunks],
+            cut: false,
             detail: Detail::ErrorPx(1.0),
             budget: u64::MAX,
         }
@@ -68,6 +70,7 @@ impl Bench {
             texture_budget_bytes: 0,
             max_triangles,
             prefetch,
+            cut: self.cut,
             dt_secs,
         })
     }
@@ -195,6 +198,25 @@ fn detail_that_arrives_fades_in_and_settles() {
         assert!(frames < 200, "never settles");
     }
     assert!(faded && frames > 20, "{frames} frames");
+}
+
+#[test]
+fn after_a_cut_data_fades_in_faster() {
+    let frames = |cut: bool| {
+        let mut bench = Bench::new(4, 5);
+        let eye = [view(DVec3::new(25.0, 1.0, 9.5))];
+        bench.select(&eye, 0.01);
+        bench.resident.fill(true);
+        bench.cut = cut;
+        let mut faded = 0;
+        while !bench.select(&eye, 0.01).floors_stand {
+            bench.cut = false;
+            faded += 1;
+        }
+        faded
+    };
+    let (soon, late) = (frames(true), frames(false));
+    assert!(soon < 50 && soon > 20 && late > 2 * soon, "{soon} and {late} frames of 10 ms");
 }
 
 #[test]
@@ -513,6 +535,7 @@ fn what_is_remembered_of_the_last_frame_saves_work_and_changes_nothing() {
                 1 => Prefetch { around: false, soon: &soon, later: &later },
                 _ => Prefetch { around: true, soon: &soon, later: &later },
             },
+            cut: false,
             dt_secs: 0.05,
         };
         let before = quick.controls[0].first_rung();

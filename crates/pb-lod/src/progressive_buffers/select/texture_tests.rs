@@ -53,6 +53,7 @@ impl Bench {
             texture_budget_bytes: budget,
             max_triangles: u64::MAX,
             prefetch: Prefetch::AROUND,
+            cut: false,
             dt_secs,
         })
     }
