@@ -291,7 +291,7 @@ fn aim(
         let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, all, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
         if let [Some(rung), Some(texture_rung)] = rungs {
-            let is_there = |ladder, x: &Target| is_there(t, ladder, walk, x, frame);
+            let is_there = |ladder, x: &Target| is_there(t, ladder, all, x, frame);
             let geometry = Conditions {
                 is_there: &|x| is_there(Ladder::Geometry, x),
                 may_be_drawn: &|detail| few(&Target { detail, nearest: 0.0 }),
@@ -317,7 +317,7 @@ fn rooms(t: &Tables, frame: &Frame) -> [u64; 2] {
     [kept_free(frame.vram_budget_bytes, all, t.coarse_bytes), kept_free(frame.texture_budget_bytes, all_textures, 0)]
 }
 
-/// Whether all chunks that are drawn at a target are resident, but for those that cannot be.
+/// Whether all chunks that a target draws of what a walk saw are resident, but for those that cannot be.
 fn is_there(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target, frame: &Frame) -> bool {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     walk.seen.iter().filter(|s| s.place == Place::Visible).all(|s| {
