@@ -101,13 +101,20 @@ fn texels_change_as_smoothly_as_those_of_the_full_model_also_where_they_come_lat
     let full = fly(&archive, "texture_pops_full", "--settle --error-px 0.001");
     let settled = fly(&archive, "texture_pops_settled", "--settle --error-px 1");
     let late = fly(&archive, "texture_pops_late", "--error-px 1 --late-frames 30 --no-prefetch");
+    // Together less than a quarter of the archive.
+    let size = std::fs::metadata(&archive).unwrap().len();
+    assert!(size > 4 * (400 + 280) * 1024, "{size}");
+    let tight = fly(&archive, "texture_pops_tight", "--error-px 1 --vram 400KiB --ram 280KiB");
+    let allowed = column(&tight.join("stats.csv"), "allowed_texel_error_px");
+    assert!(allowed.iter().any(|tau| *tau > 1.5), "the bounds have to be felt: {allowed:?}");
     let missing = column(&late.join("stats.csv"), "missing_chunks").iter().filter(|m| **m > 0.0).count();
-    let [full, settled, late] = [full, settled, late].map(|f| change(&f));
+    let [full, settled, late, tight] = [full, settled, late, tight].map(|f| change(&f));
     println!(
-        "largest and mean change: full {full:?}, settled {settled:?}, late {late:?}, {missing} frames lacked data"
+        "largest and mean change: full {full:?}, settled {settled:?}, late {late:?}, {missing} frames lacked data, \
+         tight {tight:?}"
     );
     assert!(missing > 25, "data was late in only {missing} frames");
-    for (name, found) in [("settled", settled), ("late", late)] {
+    for (name, found) in [("settled", settled), ("late", late), ("tight", tight)] {
         assert!(f64::from(found.0) <= 1.5 * f64::from(full.0), "{name}: {found:?}, full model: {full:?}");
         assert!(found.1 <= 1.5 * full.1, "{name}: {found:?}, full model: {full:?}");
     }
