@@ -157,6 +157,14 @@ impl Streaming {
         });
         let limits = Limits::new(bounds.ram_bytes, costs.budgets);
         let cache = Recorded::new(chunk_infos(&model, &costs.chunks), limits)?;
+        let coarsest = model.model_levels().last().map_or(0, |l| l.triangles);
+        if bounds.max_triangles < coarsest {
+            let most = bounds.max_triangles;
+            eprintln!(
+                "pb-view: warning: the coarsest level has {coarsest} triangles, more than the {most} of --max-triangles; \
+                 pictures with all of the model in them will have more. Bake with more --levels, or raise the bound"
+            );
+        }
         let chunks = costs.chunks.len();
         let s = subject(model.record(), glam::DVec3::Y);
         Ok(Self {

@@ -136,10 +136,15 @@ pub struct World<'a> {
     detail: Detail,
     /// Also load what a camera nearby would show.
     around: bool,
+    /// Cameras that are expected: so many frames ahead along the present motion.
+    ahead: Vec<f64>,
+    max_triangles: u64,
     /// Frames in which even the slowest rest must be over.
     rest_frames: u64,
     upload_frames: u32,
     eye: DVec3,
+    /// Of the frame before.
+    last_eye: DVec3,
     target: DVec3,
     tally: Tally,
 }
@@ -184,10 +189,13 @@ impl<'a> World<'a> {
             budgets: [scene.coarse_bytes() + pools[0], pools[1]],
             detail: Detail::ErrorPx(random.magnitude(0.1, 8.0) as f32),
             around: random.chance(0.5),
+            ahead: if random.chance(0.5) { vec![8.0, 15.0, 40.0] } else { Vec::new() },
+            max_triangles: if random.chance(0.2) { random.magnitude(1e2, 1e6) as u64 } else { u64::MAX },
             // Everything is read twice, and uploaded one chunk after the other.
             rest_frames: REST_FRAMES + (2.0 * reading / f64::from(DT_SECS)) as u64 + n * u64::from(2 + upload_frames),
             upload_frames,
             eye: DVec3::new(0.0, 0.0, 3000.0),
+            last_eye: DVec3::new(0.0, 0.0, 3000.0),
             target: DVec3::ZERO,
             tally: Tally { scenes: 1, ..Tally::default() },
             scene,
@@ -259,8 +267,12 @@ impl<'a> World<'a> {
         self.end_uploads(random, refused);
         self.check_books()?;
         let changed: Vec<plan::ChunkId> = self.cache.changes().iter().map(|c| plan::ChunkId(c.0)).collect();
+        let step = self.eye - self.last_eye;
+        self.last_eye = self.eye;
+        let ahead: Vec<View> = self.ahead.iter().map(|frames| self.view(self.eye + step * *frames)).collect();
+        let (soon, later) = ahead.split_at(ahead.len() * 2 / 3);
         let plan = self.selector.select(&Frame {
-            views: &[self.view()],
+            views: &[self.view(self.eye)],
             resident: &self.resident,
             retiring: self.cache.retiring(),
             failed: self.cache.failed(),
@@ -268,8 +280,8 @@ impl<'a> World<'a> {
             detail: self.detail,
             vram_budget_bytes: self.budgets[0],
             texture_budget_bytes: self.budgets[1],
-            max_triangles: u64::MAX,
-            prefetch: Prefetch { around: self.around, soon: &[], later: &[] },
+            max_triangles: self.max_triangles,
+            prefetch: Prefetch { around: self.around, soon, later },
             cut: self.tally.frames.is_multiple_of(100),
             dt_secs: DT_SECS,
         });
@@ -303,9 +315,9 @@ impl<'a> World<'a> {
         Ok(plan)
     }
 
-    fn view(&self) -> View {
-        let up = if (self.target - self.eye).normalize_or_zero().y.abs() < 0.99 { DVec3::Y } else { DVec3::X };
-        Camera { eye: self.eye, target: self.target, up, fov_deg: 50.0, near: 1e-3 }.view([1280, 720])
+    fn view(&self, eye: DVec3) -> View {
+        let up = if (self.target - eye).normalize_or_zero().y.abs() < 0.99 { DVec3::Y } else { DVec3::X };
+        Camera { eye, target: self.target, up, fov_deg: 50.0, near: 1e-3 }.view([1280, 720])
     }
 
     fn bytes(&self, chunk: ChunkId) -> u64 {

@@ -138,6 +138,14 @@ fn with_prefetching_nothing_is_missing_and_little_is_read_in_vain() {
 }
 
 #[test]
+fn a_bound_on_triangles_below_the_coarsest_level_is_told_at_the_start() {
+    let run = |most: &str| pb_view_line(&format!("{{}} --no-draw --max-triangles {most}"), &[small_torus()]);
+    let (few, many) = (run("10"), run("100000"));
+    assert!(few.code == 0 && few.stderr.contains("the coarsest level has"), "{}", few.stderr);
+    assert!(many.code == 0 && many.stderr.is_empty(), "{}", many.stderr);
+}
+
+#[test]
 fn without_drawing_the_same_is_loaded() {
     let Some(_) = adapter("flights without drawing") else { return };
     let drawn = missing("streamed_drawn", "--disk-model 8,5 --lookahead 0");

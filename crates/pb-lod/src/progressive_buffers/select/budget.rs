@@ -93,15 +93,23 @@ impl DetailControl {
         let at = |gain: f64| Target::new(frame.detail, gain);
         let target = STEP.powi(rung);
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
-        // What may not be drawn is a bound, no data that is still to come.
-        self.rises = gain > target;
         let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(coarsened(frame.detail, gain));
-        let gain = match may_be_drawn(gain) {
-            true => gain,
-            false => gain * STEP.powi(first_that(0..RUNGS, 0, |rung| may_be_drawn(gain * STEP.powi(rung)))),
+        let before = self.last.map(|_| self.start(frame.detail)).filter(|_| frame.dt_secs < f32::INFINITY);
+        let free = may_be_drawn(gain);
+        // What may not be drawn is a bound, no data that is still to come.
+        self.rises = free && gain > target;
+        let gain = match before {
+            _ if free => gain,
+            // As in the last frame: else the detail would tremble.
+            Some(before) if before > gain && may_be_drawn(before) => before,
+            // Where nothing is few enough, the coarsest detail of the ladder.
+            _ => {
+                let coarser = first_that(0..RUNGS, 0, |rung| may_be_drawn(gain * STEP.powi(rung)));
+                (gain * STEP.powi(coarser)).min(STEP.powi(RUNGS))
+            }
         };
         self.last = Some((frame.detail, gain));
-        self.settled = gain == target;
+        self.settled = gain == target || !self.rises && before == Some(gain);
         self.arrived |= gain <= target;
         (at(target), at(gain))
     }

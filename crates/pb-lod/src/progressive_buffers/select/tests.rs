@@ -424,6 +424,11 @@ fn the_error_rises_until_the_triangles_are_few_enough_and_no_further() {
     let most = all.triangles / 3;
     let plan = bench.select_with(&views, Prefetch::AROUND, most, f32::INFINITY);
     assert!(plan.triangles <= most && plan.triangles > most / 2, "{} of {most}", plan.triangles);
+    // A bound that nothing keeps leaves the coarsest detail, and that stands.
+    let taus = (0..100).map(|_| bench.select_with(&views, Prefetch::AROUND, 1, 0.1).detail.expect("set"));
+    let Some(Detail::ErrorPx(tau)) = taus.last() else { panic!() };
+    assert!(tau.is_finite() && bench.select_with(&views, Prefetch::AROUND, 1, 0.1).floors_stand, "{tau}");
+    bench.select(&views, f32::INFINITY);
     // At once, also where detail moves slowly.
     bench.select(&views, f32::INFINITY);
     let plan = bench.select_with(&views, Prefetch::AROUND, most, 1.0 / 60.0);
