@@ -286,7 +286,10 @@ fn aim(
             soon.go(t, soon_eyes, &finest, Scope::Drawn);
         }
         let all: &Walk = if frame.prefetch.soon.is_empty() { walk } else { soon };
-        let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walk, x) <= frame.max_triangles;
+        let most = frame.max_triangles;
+        // The target has to hold when all that it wants is resident, a picture with what is.
+        let few = |x: &Target| most == u64::MAX || triangles(t, |_| 0.0, walk, x) <= most;
+        let now_few = |x: &Target| most == u64::MAX || triangles(t, |c| floors.floor(c), walk, x) <= most;
         let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, all, x) <= rooms[0] && few(x);
         let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, all, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
@@ -294,7 +297,7 @@ fn aim(
             let is_there = |ladder, x: &Target| is_there(t, ladder, all, x, frame);
             let geometry = Conditions {
                 is_there: &|x| is_there(Ladder::Geometry, x),
-                may_be_drawn: &|detail| few(&Target { detail, nearest: 0.0 }),
+                may_be_drawn: &|detail| now_few(&Target { detail, nearest: 0.0 }),
             };
             let textures = Conditions {
                 is_there: &|x| !t.has_textures() || is_there(Ladder::Texture, x),
@@ -330,12 +333,12 @@ fn is_there(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target, frame: &Fr
     })
 }
 
-/// Triangles that are drawn at a target.
-fn triangles(t: &Tables, floors: &Floors, walk: &Walk, target: &Target) -> u64 {
+/// Triangles that are drawn at a target with these residency floors.
+fn triangles(t: &Tables, floor: impl Fn(u32) -> f32, walk: &Walk, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     let seen = walk.seen.iter().filter(|s| s.place == Place::Visible).map(|s| {
         let reach = s.reach.max(s.girth * target.nearest);
-        let lod = t.lod(&switch, s.cluster, reach).max(floors.floor(s.cluster));
+        let lod = t.lod(&switch, s.cluster, reach).max(floor(s.cluster));
         t.triangles(s.cluster, (lod as u32).min(t.levels - 1)) as u64
     });
     let coarse = walk.coarse.iter().map(|r| t.coarse_indices(r.clone())).map(|r| u64::from(r.end - r.start) / 3);

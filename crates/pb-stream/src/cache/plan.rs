@@ -125,7 +125,7 @@ impl Cache {
     }
 
     /// What has to pass through RAM: first what VRAM lacks, then all else that is wanted and not in VRAM; of what is not
-    /// there yet no more than may be in flight.
+    /// there yet no more than may be in flight, but room for all of it: what is less urgent must not take its place.
     fn add_ram(&mut self, goals: &mut Goals) {
         let (mut room, mut loads) = (self.limits.ram_bytes, self.limits.loads_in_flight);
         for chunk in goals.lacking.iter().copied().chain(goals.wants.iter().map(|w| w.chunk)) {
@@ -133,10 +133,15 @@ impl Cache {
             let needed = matches!(self.vram[place], Vram::Absent | Vram::Uploading) && !self.failed[place];
             let load = (self.ram[place] != Ram::Loaded) as u32;
             let bytes = self.ram_size(chunk);
-            let mark = &mut self.marks[place].ram;
-            if needed && *mark != self.frame && bytes <= room && load <= loads {
-                (room, loads) = (room - bytes, loads - load);
-                *mark = self.frame;
+            let marks = &mut self.marks[place];
+            if !needed || marks.reserved == self.frame || bytes > room {
+                continue;
+            }
+            marks.reserved = self.frame;
+            room -= bytes;
+            if load <= loads {
+                loads -= load;
+                marks.ram = self.frame;
                 goals.ram.push(chunk);
             }
         }

@@ -53,6 +53,8 @@ pub(super) struct Mark {
     pub vram: u32,
     /// Shall be read into RAM or wait there.
     pub ram: u32,
+    /// Room in RAM is kept for it.
+    pub reserved: u32,
     /// Its place in order of priority, from 1, in the frame that wanted it.
     pub rank: u32,
 }

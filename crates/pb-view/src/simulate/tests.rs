@@ -19,3 +19,8 @@ fn the_same_seed_flies_the_same() {
     assert_eq!(some(3), some(3));
     assert_ne!(some(3), some(4));
 }
+
+#[test]
+fn a_bound_on_triangles_and_wants_all_around_come_to_rest() {
+    fly_scene(1, 2995, None).unwrap();
+}

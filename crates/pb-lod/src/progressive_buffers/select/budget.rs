@@ -48,6 +48,8 @@ pub(super) struct DetailControl {
     rung: i32,
     settled: bool,
     rises: bool,
+    /// A finer detail was not to be drawn, though the target is one.
+    bound: bool,
     /// The target was reached once.
     arrived: bool,
     /// How long the next step has waited for data, seconds.
@@ -89,7 +91,6 @@ impl DetailControl {
     /// The target on a rung, and what to use in this frame: on its way there, no finer than what `is_there`, but at once as
     /// coarse as `may_be_drawn` asks for.
     pub fn step(&mut self, frame: &Frame, rung: i32, conditions: &Conditions) -> (Target, Target) {
-        self.rung = rung;
         let at = |gain: f64| Target::new(frame.detail, gain);
         let target = STEP.powi(rung);
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
@@ -97,7 +98,9 @@ impl DetailControl {
         let before = self.last.map(|_| self.start(frame.detail)).filter(|_| frame.dt_secs < f32::INFINITY);
         let free = may_be_drawn(gain);
         // What may not be drawn is a bound, no data that is still to come.
-        self.rises = free && gain > target;
+        self.bound &= self.rung == rung;
+        self.bound |= !free;
+        self.rises = !self.bound && gain > target;
         let gain = match before {
             _ if free => gain,
             // As in the last frame: else the detail would tremble.
@@ -108,6 +111,7 @@ impl DetailControl {
                 (gain * STEP.powi(coarser)).min(STEP.powi(RUNGS))
             }
         };
+        self.rung = rung;
         self.last = Some((frame.detail, gain));
         self.settled = gain == target || !self.rises && before == Some(gain);
         self.arrived |= gain <= target;
@@ -136,7 +140,7 @@ impl DetailControl {
         let gain = match () {
             _ if is_there(finest) => finest,
             _ if next > finest && is_there(next) => next,
-            _ if self.waited_secs > PATIENCE_SECS => finest.max(next),
+            _ if self.waited_secs > PATIENCE_SECS && !self.bound => finest.max(next),
             _ => return start,
         };
         self.waited_secs = 0.0;
