@@ -22,11 +22,6 @@ impl Wants {
         Wants { place: vec![0; chunks], ..Wants::default() }
     }
 
-    /// Forgets all.
-    pub fn clear(&mut self) {
-        self.list.clear();
-    }
-
     /// Wants a chunk; of several wants of the same one the most urgent stays.
     pub fn add(&mut self, want: Want) {
         let place = &mut self.place[want.chunk.0 as usize];
@@ -43,7 +38,7 @@ impl Wants {
         }
     }
 
-    /// Class, then the larger error, then the smaller chunk id.
+    /// Those collected since the last call: class, then the larger error, then the smaller chunk id.
     pub fn ordered(&mut self) -> Vec<Want> {
         assert!(self.list.len() < 1 << PLACE_BITS, "a want's place fits its key");
         let keys = self.list.iter().zip(0..).map(|(w, place)| key(w) << PLACE_BITS | place);
@@ -54,7 +49,28 @@ impl Wants {
         let mut out: Vec<Want> = self.keys.iter().map(|key| self.list[place(key)]).collect();
         let alike = |a: &Want, b: &Want| key(a) == key(b);
         out.chunk_by_mut(alike).filter(|run| run.len() > 1).for_each(|run| run.sort_unstable_by_key(|w| w.chunk));
+        self.list.clear();
         out
+    }
+
+    /// One list of three, each of which is in order.
+    pub fn merged(&mut self, mut lists: [&[Want]; 3]) -> Vec<Want> {
+        let mut out: Vec<Want> = Vec::with_capacity(lists.iter().map(|list| list.len()).sum());
+        let before = |a: &[Want], b: &[Want]| match (a, b) {
+            ([a, ..], [b, ..]) => (key(a), a.chunk) <= (key(b), b.chunk),
+            (a, _) => !a.is_empty(),
+        };
+        loop {
+            let first = if before(lists[1], lists[2]) { 1 } else { 2 };
+            let first = if before(lists[0], lists[first]) { 0 } else { first };
+            let Some((&want, rest)) = lists[first].split_first() else { return out };
+            lists[first] = rest;
+            let place = &mut self.place[want.chunk.0 as usize];
+            if out.get(*place as usize).is_none_or(|other| other.chunk != want.chunk) {
+                *place = out.len() as u32;
+                out.push(want);
+            }
+        }
     }
 }
 
@@ -96,9 +112,29 @@ mod tests {
         ];
         let mut all = Wants::new(10);
         for turn in 0..wants.len() {
-            all.clear();
             wants.iter().cycle().skip(turn).take(wants.len()).for_each(|&w| all.add(w));
             assert_eq!(all.ordered(), expected, "beginning with {turn}");
+        }
+    }
+
+    #[test]
+    fn lists_in_order_become_one_as_if_all_had_come_one_by_one() {
+        let noise = |i: u32, k: u32| (u64::from(i * 4 + k) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
+        let class = |i| [Class::Maybe, Class::Soon, Class::Now][(noise(i, 1) % 3) as usize];
+        let wants: Vec<Want> =
+            (0..300).map(|i| want((noise(i, 0) % 100) as u32, class(i), (noise(i, 2) % 9) as f32)).collect();
+        let mut all = Wants::new(100);
+        for (first, second) in [(0, 0), (0, 300), (100, 200), (300, 300), (7, 9)] {
+            let mut lists = [&wants[..first], &wants[first..second], &wants[second..]].map(|list| {
+                list.iter().for_each(|&w| all.add(w));
+                all.ordered()
+            });
+            for _ in 0..3 {
+                lists.rotate_left(1);
+                let merged = all.merged([&lists[0], &lists[1], &lists[2]]);
+                wants.iter().for_each(|&w| all.add(w));
+                assert_eq!(merged, all.ordered());
+            }
         }
     }
 }
