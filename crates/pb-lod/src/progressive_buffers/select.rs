@@ -6,6 +6,8 @@
 //! A plan never draws a level whose chunks are not resident (I5), and never gives back a chunk that a view still shows.
 
 mod ahead;
+#[cfg(test)]
+mod ahead_tests;
 mod budget;
 mod floors;
 mod tables;
@@ -120,7 +122,9 @@ impl Selector {
         assert_eq!(frame.failed.len(), t.chunks(), "one failed flag per chunk");
         let eyes = &Eyes::new(frame.views, frame.detail, t);
         let [soon_anew, later_anew] = self.turns.next(frame);
-        work.soon.look(t, frame.prefetch.soon, frame.detail, soon_anew);
+        // With those of this frame: from there to where they will be, what comes into view may be nearest here.
+        let soon = if frame.prefetch.soon.is_empty() { vec![] } else { [frame.views, frame.prefetch.soon].concat() };
+        work.soon.look(t, &soon, frame.detail, soon_anew);
         work.later.look(t, frame.prefetch.later, frame.detail, later_anew);
         let [(target, now), (texture_target, texels)] = aim(t, &mut self.controls, &self.floors, work, eyes, frame);
         let drawn = Switch::new(now.detail, 1.0, t.quantum);
@@ -309,7 +313,9 @@ fn aim(
         let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, shown, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
         if let [Some(rung), Some(texture_rung)] = rungs {
-            let is_there = |ladder, x: &Target| is_there(t, ladder, all, x, frame);
+            let is_there = |ladder, x: &Target| {
+                [&*walk, &soon.walk].into_iter().all(|walk| is_there(t, ladder, walk, x, frame))
+            };
             let geometry = Conditions {
                 is_there: &|x| is_there(Ladder::Geometry, x),
                 may_be_drawn: &|detail| few(&Target { detail, nearest: 0.0 }),

@@ -10,9 +10,9 @@ use super::tables::Tables;
 use super::walk::{Eyes, Scope, Walk};
 use crate::plan::{Detail, Frame, View, Want};
 
-/// Those that come soon and those that come later are looked at in turn, one of them each time that this has passed;
-/// seconds. So each is this old twice over at most.
-const TURN_SECS: f32 = 0.045;
+/// Those that come soon and those that come later are looked at in turn, one of them each time before this has passed;
+/// seconds. So neither is older than twice this, but frames may be slower: three frames of a 60th of a second, and a little.
+const TURN_SECS: f32 = 0.051;
 /// Walks go so many rungs deeper than asked for, so that they need not be done again when the search goes there.
 const SPARE_RUNGS: i32 = 4;
 /// A frame counts as this long at least: clocks may stand still while cameras move.
@@ -55,12 +55,13 @@ impl Turns {
     pub fn next(&mut self, frame: &Frame) -> [bool; 2] {
         let (stand, continues) = Stand::new(frame, self.last.as_ref());
         self.last = Some(stand);
-        self.waited_secs += frame.dt_secs.max(LEAST_SECS);
-        if !continues || self.waited_secs >= 2.0 * TURN_SECS {
+        let dt_secs = frame.dt_secs.max(LEAST_SECS);
+        self.waited_secs += dt_secs;
+        if frame.cut || !continues || dt_secs > TURN_SECS {
             (self.waited_secs, self.later_is_next) = (0.0, true);
             return [true; 2];
         }
-        if self.waited_secs < TURN_SECS {
+        if self.waited_secs + dt_secs <= TURN_SECS {
             return [false; 2];
         }
         self.waited_secs = 0.0;
@@ -187,6 +188,7 @@ mod tests {
             texture_budget_bytes: 0,
             max_triangles: 0,
             prefetch,
+            cut: false,
             dt_secs,
         })
     }
@@ -204,7 +206,7 @@ mod tests {
                 let anew = at(i);
                 assert_ne!(anew, [true; 2], "frame {i} at {fps}");
                 age = [0, 1].map(|k| if anew[k] { 0.0 } else { age[k] + 1.0 / fps });
-                assert!(age.iter().all(|age| *age < 2.0 * TURN_SECS + 2.0 / fps), "frame {i} at {fps}: {age:?}");
+                assert!(age.iter().all(|age| *age <= 2.0 * TURN_SECS), "frame {i} at {fps}: {age:?}");
             }
         }
         let mut turns = Turns::default();

@@ -329,6 +329,7 @@ impl Tables {
     }
 
     /// The whole level of detail of either kind; where rounding would reach the next level, the finer one.
+    #[inline]
     pub fn ladder_level(&self, ladder: Ladder, switch: &Switch, cluster: u32, reach: f32) -> u32 {
         let level = || {
             let errors = self.errors(cluster);

@@ -2,7 +2,7 @@
 //!
 //! Must never: depend on the order in which wants come.
 
-use crate::plan::Want;
+use crate::plan::{Class, Want};
 
 /// Bits of a sort key that hold a want's place in the list.
 const PLACE_BITS: u32 = 31;
@@ -53,18 +53,20 @@ impl Wants {
         out
     }
 
-    /// One list of three, each of which is in order.
+    /// One list of three, each of which is in order; only the first has wants of class Now.
     pub fn merged(&mut self, mut lists: [&[Want]; 3]) -> Vec<Want> {
         let mut out: Vec<Want> = Vec::with_capacity(lists.iter().map(|list| list.len()).sum());
-        let before = |a: &[Want], b: &[Want]| match (a, b) {
-            ([a, ..], [b, ..]) => (key(a), a.chunk) <= (key(b), b.chunk),
-            (a, _) => !a.is_empty(),
-        };
+        let (now, rest) = lists[0].split_at(lists[0].partition_point(|w| w.class == Class::Now));
+        out.extend_from_slice(now);
+        (0..).zip(now).for_each(|(place, w)| self.place[w.chunk.0 as usize] = place);
+        lists[0] = rest;
+        let rank = |list: &[Want]| list.first().map_or(u128::MAX, |w| u128::from(key(w)) << 32 | u128::from(w.chunk.0));
+        let mut ranks = lists.map(rank);
         loop {
-            let first = if before(lists[1], lists[2]) { 1 } else { 2 };
-            let first = if before(lists[0], lists[first]) { 0 } else { first };
+            let first = if ranks[1] <= ranks[2] { 1 } else { 2 };
+            let first = if ranks[0] <= ranks[first] { 0 } else { first };
             let Some((&want, rest)) = lists[first].split_first() else { return out };
-            lists[first] = rest;
+            (lists[first], ranks[first]) = (rest, rank(rest));
             let place = &mut self.place[want.chunk.0 as usize];
             if out.get(*place as usize).is_none_or(|other| other.chunk != want.chunk) {
                 *place = out.len() as u32;
@@ -83,7 +85,7 @@ fn key(want: &Want) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{ChunkId, Class};
+    use crate::plan::ChunkId;
 
     fn want(chunk: u32, class: Class, error_px: f32) -> Want {
         Want { chunk: ChunkId(chunk), class, error_px }
@@ -120,21 +122,22 @@ mod tests {
     #[test]
     fn lists_in_order_become_one_as_if_all_had_come_one_by_one() {
         let noise = |i: u32, k: u32| (u64::from(i * 4 + k) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
-        let class = |i| [Class::Maybe, Class::Soon, Class::Now][(noise(i, 1) % 3) as usize];
-        let wants: Vec<Want> =
-            (0..300).map(|i| want((noise(i, 0) % 100) as u32, class(i), (noise(i, 2) % 9) as f32)).collect();
+        let wants: Vec<Want> = (0..300)
+            .map(|i| {
+                let class =
+                    [Class::Maybe, Class::Soon, Class::Now][(noise(i, 1) % if i < 150 { 3 } else { 2 }) as usize];
+                want((noise(i, 0) % 100) as u32, class, (noise(i, 2) % 9) as f32)
+            })
+            .collect();
         let mut all = Wants::new(100);
-        for (first, second) in [(0, 0), (0, 300), (100, 200), (300, 300), (7, 9)] {
-            let mut lists = [&wants[..first], &wants[first..second], &wants[second..]].map(|list| {
+        for (first, second) in [(150, 150), (150, 300), (200, 250), (300, 300), (160, 161)] {
+            let lists = [&wants[..first], &wants[first..second], &wants[second..]].map(|list| {
                 list.iter().for_each(|&w| all.add(w));
                 all.ordered()
             });
-            for _ in 0..3 {
-                lists.rotate_left(1);
-                let merged = all.merged([&lists[0], &lists[1], &lists[2]]);
-                wants.iter().for_each(|&w| all.add(w));
-                assert_eq!(merged, all.ordered());
-            }
+            let merged = all.merged([&lists[0], &lists[1], &lists[2]]);
+            wants.iter().for_each(|&w| all.add(w));
+            assert_eq!(merged, all.ordered());
         }
     }
 }
