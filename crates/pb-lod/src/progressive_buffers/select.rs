@@ -20,7 +20,7 @@ mod wants;
 
 pub use tables::SelectTables;
 
-use self::ahead::{Ahead, Turns};
+use self::ahead::{Ahead, Near, Shown, Turns};
 use self::budget::{Conditions, DetailControl, Target, on_rung};
 use self::floors::Floors;
 use self::tables::{Ladder, Tables};
@@ -55,10 +55,11 @@ pub struct Selector {
 /// What selection works with.
 #[derive(Default)]
 struct Work {
-    /// What the views of this frame see, and want.
+    /// What the views of this frame see; what shows in them or soon; and what all want.
     walk: Walk,
+    shown: Shown,
     wants: Wants,
-    /// These and cameras that come soon; those that come later.
+    /// Cameras that come soon, and later.
     soon: Ahead,
     later: Ahead,
 }
@@ -121,14 +122,10 @@ impl Selector {
         assert_eq!(frame.failed.len(), t.chunks(), "one failed flag per chunk");
         let eyes = &Eyes::new(frame.views, frame.detail, t);
         let [soon_anew, later_anew] = self.turns.next(frame);
-        if soon_anew || frame.prefetch.soon.is_empty() {
-            let cameras =
-                if frame.prefetch.soon.is_empty() { vec![] } else { [frame.views, frame.prefetch.soon].concat() };
-            work.soon.look(t, &cameras, frame.detail);
-        }
-        if later_anew || frame.prefetch.later.is_empty() {
-            work.later.look(t, frame.prefetch.later, frame.detail);
-        }
+        // With those of this frame: from there to where they will be, what comes into view may be nearest here.
+        let soon = if frame.prefetch.soon.is_empty() { vec![] } else { [frame.views, frame.prefetch.soon].concat() };
+        work.soon.look(t, &soon, frame.detail, soon_anew);
+        work.later.look(t, frame.prefetch.later, frame.detail, later_anew);
         let [(target, now), (texture_target, texels)] = aim(t, &mut self.controls, &self.floors, work, eyes, frame);
         let drawn = Switch::new(now.detail, 1.0, t.quantum);
 
@@ -280,11 +277,11 @@ impl Selector {
 
 /// Bytes in VRAM if every cluster that shows is resident at the level that the target asks for, with the coarse buffer and
 /// without the tails of textures.
-fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64 {
+fn bytes_wanted(t: &Tables, ladder: Ladder, shown: &Shown, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
-    let finer = walk.seen.iter().filter(|s| s.shows).map(|s| {
-        let reach = s.reach.max(s.girth * target.nearest);
-        t.bytes_above_coarsest(ladder, s.cluster, t.ladder_level(ladder, &switch, s.cluster, reach))
+    let finer = shown.all().iter().map(|&Near { cluster, reach, girth }| {
+        let reach = reach.max(girth * target.nearest);
+        t.bytes_above_coarsest(ladder, cluster, t.ladder_level(ladder, &switch, cluster, reach))
     });
     let always = if ladder == Ladder::Geometry { t.coarse_bytes } else { 0 };
     always.saturating_add(finer.fold(0, u64::saturating_add))
@@ -292,13 +289,12 @@ fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64
 
 /// For geometry and textures: what the budgets allow, and what to use in this frame on the way there. Walks the tree for
 /// details little finer than those of the last frame, and again for finer ones where it turns out that the budgets may
-/// allow them. The budgets hold what
-/// the views of this frame want; and what those wanted, with cameras that come soon, when these were looked at last.
+/// allow them. The budgets hold what shows in the views of this frame, and what comes soon as far as that was looked at.
 fn aim(
     t: &Tables,
     controls: &mut [DetailControl; 2],
     floors: &Floors,
-    Work { walk, soon, .. }: &mut Work,
+    Work { walk, soon, shown, .. }: &mut Work,
     eyes: &Eyes,
     frame: &Frame,
 ) -> [(Target, Target); 2] {
@@ -310,11 +306,11 @@ fn aim(
         let finest = [0, 1].map(|k| Switch::new(controls[k].finest(frame, first[k]), 1.0, t.quantum));
         walk.go(t, eyes, &finest, scope);
         soon.go(t, first, |rungs| on_rungs(t, frame, rungs));
-        let bytes =
-            |ladder, x: &Target| [&*walk, &soon.walk].map(|walk| bytes_wanted(t, ladder, walk, x)).into_iter().max();
+        shown.clear();
+        [&*walk, &soon.walk].into_iter().for_each(|walk| shown.add(t, walk));
         let few = |x: &Target| frame.max_triangles == u64::MAX || triangles(t, floors, walk, x) <= frame.max_triangles;
-        let fits = |x: &Target| bytes(Ladder::Geometry, x) <= Some(rooms[0]) && few(x);
-        let texels_fit = |x: &Target| !t.has_textures() || bytes(Ladder::Texture, x) <= Some(rooms[1]);
+        let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, shown, x) <= rooms[0] && few(x);
+        let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, shown, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
         if let [Some(rung), Some(texture_rung)] = rungs {
             let is_there = |ladder, x: &Target| {

@@ -105,11 +105,14 @@ pub(super) struct Ahead {
 }
 
 impl Ahead {
-    /// Forgets all, and looks at these cameras, if there are any.
-    pub fn look(&mut self, t: &Tables, cameras: &[View], detail: Detail) {
-        self.eyes = (!cameras.is_empty()).then(|| Eyes::new(cameras, detail, t));
+    /// Forgets all, where no cameras come; looks at them where that is due.
+    pub fn look(&mut self, t: &Tables, cameras: &[View], detail: Detail, anew: bool) {
+        match cameras.is_empty() {
+            true => *self = Ahead { walk: std::mem::take(&mut self.walk), ..Ahead::default() },
+            false if anew => self.eyes = Some(Eyes::new(cameras, detail, t)),
+            false => return,
+        }
         self.walk.seen.clear();
-        self.wants.clear();
         self.rungs = [i32::MAX; 2];
     }
 
@@ -119,6 +122,48 @@ impl Ahead {
             self.rungs = [0, 1].map(|k| (rungs[k] - SPARE_RUNGS).max(0).min(self.rungs[k]));
             self.walk.go(t, eyes, &switches(self.rungs), Scope::Drawn);
         }
+    }
+}
+
+/// Clusters that show in any of some walks, each once: from nearest by.
+#[derive(Default)]
+pub(super) struct Shown {
+    list: Vec<Near>,
+    /// Per cluster: its place in the list, if what stands there is that cluster's.
+    place: Vec<u32>,
+}
+
+/// A cluster; see [`super::walk::Seen`].
+#[derive(Clone, Copy)]
+pub(super) struct Near {
+    pub cluster: u32,
+    pub reach: f32,
+    pub girth: f32,
+}
+
+impl Shown {
+    pub fn clear(&mut self) {
+        self.list.clear();
+    }
+
+    pub fn add(&mut self, t: &Tables, walk: &Walk) {
+        self.place.resize(t.clusters(), 0);
+        for seen in walk.seen.iter().filter(|s| s.shows) {
+            let place = &mut self.place[seen.cluster as usize];
+            match self.list.get_mut(*place as usize) {
+                Some(other) if other.cluster == seen.cluster => {
+                    (other.reach, other.girth) = (other.reach.min(seen.reach), other.girth.min(seen.girth));
+                }
+                _ => {
+                    *place = self.list.len() as u32;
+                    self.list.push(Near { cluster: seen.cluster, reach: seen.reach, girth: seen.girth });
+                }
+            }
+        }
+    }
+
+    pub fn all(&self) -> &[Near] {
+        &self.list
     }
 }
 
