@@ -313,9 +313,8 @@ fn aim(
         let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, shown, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
         if let [Some(rung), Some(texture_rung)] = rungs {
-            let is_there = |ladder, x: &Target| {
-                [&*walk, &soon.walk].into_iter().all(|walk| is_there(t, ladder, walk, x, frame))
-            };
+            let is_there =
+                |ladder, x: &Target| [&*walk, &soon.walk].into_iter().all(|walk| is_there(t, ladder, walk, x, frame));
             let geometry = Conditions {
                 is_there: &|x| is_there(Ladder::Geometry, x),
                 may_be_drawn: &|detail| few(&Target { detail, nearest: 0.0 }),
