@@ -1,10 +1,13 @@
 //! Selection: the resident chunks and the views go in, the draws and the wanted chunks come out
 //! (design sections 3, 4, 6, 7; paper sections 3.2 and 4).
 //!
-//! Deterministic: no GPU, clock or thread. The only state is what must be continuous from frame to frame:
-//! the residency floors `m_c` and the detail that the byte budget allows. A plan never draws a level whose
-//! chunks are not resident (I5), and never gives back a chunk that a view still shows.
+//! Deterministic: no GPU, clock or thread. The only state is what must be continuous from frame to frame: the residency
+//! floors `m_c` and the detail that the byte budget allows; and what cameras to come want, for some hundredths of a second.
+//! A plan never draws a level whose chunks are not resident (I5), and never gives back a chunk that a view still shows.
 
+mod ahead;
+#[cfg(test)]
+mod ahead_tests;
 mod budget;
 mod floors;
 mod tables;
@@ -17,7 +20,8 @@ mod wants;
 
 pub use tables::SelectTables;
 
-use self::budget::{Conditions, DetailControl, Target};
+use self::ahead::{Ahead, Near, Shown, Turns};
+use self::budget::{Conditions, DetailControl, Target, on_rung};
 use self::floors::Floors;
 use self::tables::{Ladder, Tables};
 use self::walk::{Eyes, Place, Scope, Seen, Walk};
@@ -43,9 +47,21 @@ pub struct Selector {
     texture_floors: Option<Floors>,
     /// Of geometry and of textures.
     controls: [DetailControl; 2],
-    /// Used within one frame: what the views see, they and those that come soon, those that come later; and what they want.
-    walks: [Walk; 3],
+    /// When to look at cameras to come.
+    turns: Turns,
+    work: Work,
+}
+
+/// What selection works with.
+#[derive(Default)]
+struct Work {
+    /// What the views of this frame see; what shows in them or soon; and what all want.
+    walk: Walk,
+    shown: Shown,
     wants: Wants,
+    /// Cameras that come soon, and later.
+    soon: Ahead,
+    later: Ahead,
 }
 
 impl Selector {
@@ -54,8 +70,8 @@ impl Selector {
         let tables = Tables::new(tables);
         let floors = Floors::new(&tables, Ladder::Geometry);
         let texture_floors = tables.has_textures().then(|| Floors::new(&tables, Ladder::Texture));
-        let wants = Wants::new(tables.chunks());
-        Selector { tables, floors, texture_floors, controls: Default::default(), walks: Default::default(), wants }
+        let work = Work { wants: Wants::new(tables.chunks()), ..Work::default() };
+        Selector { tables, floors, texture_floors, controls: Default::default(), turns: Turns::default(), work }
     }
 
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
@@ -93,25 +109,27 @@ impl Selector {
 
     /// What to draw, load and give back for this frame. `resident` and `retiring` have one entry per chunk.
     pub fn select(&mut self, frame: &Frame) -> Plan {
-        let (mut walks, mut wants) = (std::mem::take(&mut self.walks), std::mem::take(&mut self.wants));
-        let plan = self.select_with(frame, &mut walks, &mut wants);
-        (self.walks, self.wants) = (walks, wants);
+        let mut work = std::mem::take(&mut self.work);
+        let plan = self.select_with(frame, &mut work);
+        self.work = work;
         plan
     }
 
-    fn select_with(&mut self, frame: &Frame, [walk, soon, later]: &mut [Walk; 3], wants: &mut Wants) -> Plan {
+    fn select_with(&mut self, frame: &Frame, work: &mut Work) -> Plan {
         let t = &self.tables;
         assert_eq!(frame.resident.len(), t.chunks(), "one residency flag per chunk");
         assert_eq!(frame.retiring.len(), t.chunks(), "one retiring flag per chunk");
         assert_eq!(frame.failed.len(), t.chunks(), "one failed flag per chunk");
-        let eyes = Eyes::new(frame.views, frame.detail, t);
-        let with_soon = [frame.views, frame.prefetch.soon].concat();
-        let all_eyes = [eyes, Eyes::new(&with_soon, frame.detail, t)];
-        let [eyes, _] = &all_eyes;
-        let [(target, now), (texture_target, texels)] =
-            aim(t, &mut self.controls, &self.floors, [walk, soon], &all_eyes, frame);
+        let eyes = &Eyes::new(frame.views, frame.detail, t);
+        let [soon_anew, later_anew] = self.turns.next(frame);
+        // With those of this frame: from there to where they will be, what comes into view may be nearest here.
+        let soon = if frame.prefetch.soon.is_empty() { vec![] } else { [frame.views, frame.prefetch.soon].concat() };
+        work.soon.look(t, &soon, frame.detail, soon_anew);
+        work.later.look(t, frame.prefetch.later, frame.detail, later_anew);
+        let [(target, now), (texture_target, texels)] = aim(t, &mut self.controls, &self.floors, work, eyes, frame);
         let drawn = Switch::new(now.detail, 1.0, t.quantum);
 
+        let walk = &work.walk;
         let mut plan = Plan { detail: Some(now.detail), ..Plan::default() };
         let mut floors_stand = self.floors.step(t, eyes, &drawn, walk, frame, &mut plan.released);
         if let Some(floors) = &mut self.texture_floors {
@@ -121,19 +139,18 @@ impl Selector {
         }
         self.draw(walk, eyes, &drawn, &mut plan);
         let targets = [&target, &texture_target];
-        wants.clear();
-        self.want(walk, targets, [&now, &texels], frame, wants);
-        if !frame.prefetch.soon.is_empty() {
-            self.want_ahead(soon, Class::Soon, targets, frame, wants);
+        if soon_anew {
+            self.want_ahead(&mut work.soon, Class::Soon, targets, frame, &mut work.wants);
         }
-        if !frame.prefetch.later.is_empty() {
-            let eyes = Eyes::new(frame.prefetch.later, frame.detail, t);
-            let switches = targets.map(|target| Switch::new(target.detail, 1.0, t.quantum));
-            later.go(t, &eyes, &switches, Scope::Drawn);
-            self.want_ahead(later, Class::Maybe, targets, frame, wants);
+        if later_anew {
+            let rungs = [0, 1].map(|k| self.controls[k].rung());
+            work.later.go(&self.tables, rungs, |rungs| on_rungs(&self.tables, frame, rungs));
+            self.want_ahead(&mut work.later, Class::Maybe, targets, frame, &mut work.wants);
         }
-        plan.wants = wants.ordered();
-        let now = plan.wants.iter().take_while(|w| w.class == Class::Now);
+        self.want(walk, targets, [&now, &texels], frame, &mut work.wants);
+        let now = work.wants.ordered();
+        plan.wants = work.wants.merged([&now, &work.soon.wants, &work.later.wants]);
+        let now = now.iter().take_while(|w| w.class == Class::Now);
         plan.missing_chunks = now.filter(|w| !frame.resident[w.chunk.0 as usize]).count() as u32;
         plan.texture_detail = self.tables.has_textures().then_some(texels.detail);
         plan.rising = self.controls.iter().any(DetailControl::rises);
@@ -174,27 +191,33 @@ impl Selector {
     fn want(&self, walk: &Walk, targets: [&Target; 2], drawn: [&Target; 2], frame: &Frame, wants: &mut Wants) {
         let t = &self.tables;
         let switches = drawn.map(|drawn| Switch::new(drawn.detail, 1.0, t.quantum));
+        let arrived = [0, 1].map(|k| drawn[k] == targets[k]);
         self.want_seen(walk, targets, frame, wants, |seen, ladder, coarsest, level| {
-            let now = || {
-                let reach = seen.reach.max(seen.girth * drawn[ladder as usize].nearest);
-                level(1.0).max(t.ladder_lod(ladder, &switches[ladder as usize], seen.cluster, reach) as u32)
+            let (k, finest) = (ladder as usize, level(1.0));
+            let now = match seen.place {
+                Place::Visible if arrived[k] => finest,
+                Place::Visible => {
+                    let reach = seen.reach.max(seen.girth * drawn[k].nearest);
+                    finest.max(t.ladder_level(ladder, &switches[k], seen.cluster, reach))
+                }
+                _ => coarsest,
             };
             match (seen.place, frame.prefetch.around) {
-                (Place::Visible, true) => [now(), level(SOON_MARGIN), level(MAYBE_MARGIN)],
-                (Place::Ring, true) => [coarsest, level(1.0), level(MAYBE_MARGIN)],
-                (Place::Elsewhere, true) => [coarsest, coarsest, level(1.0)],
-                (Place::Visible, false) => [now(), level(1.0), level(1.0)],
-                (_, false) => [coarsest, level(1.0), level(1.0)],
+                (Place::Visible, true) => [now, level(SOON_MARGIN), level(MAYBE_MARGIN)],
+                (Place::Ring, true) => [now, finest, level(MAYBE_MARGIN)],
+                (Place::Elsewhere, true) => [now, coarsest, finest],
+                (_, false) => [now, finest, finest],
             }
         });
     }
 
     /// Chunks that cameras to come will draw, of class Soon or Maybe.
-    fn want_ahead(&self, walk: &Walk, class: Class, targets: [&Target; 2], frame: &Frame, wants: &mut Wants) {
-        self.want_seen(walk, targets, frame, wants, |_, _, coarsest, level| {
+    fn want_ahead(&self, ahead: &mut Ahead, class: Class, targets: [&Target; 2], frame: &Frame, wants: &mut Wants) {
+        self.want_seen(&ahead.walk, targets, frame, wants, |_, _, coarsest, level| {
             let finest = level(1.0);
             [coarsest, if class == Class::Soon { finest } else { coarsest }, finest]
         });
+        ahead.wants = wants.ordered();
     }
 
     /// Wants the chunks of what a walk saw. `levels` tells from which level on by class, Now first; it gets the coarsest
@@ -212,7 +235,7 @@ impl Selector {
             let switch = Switch::new(target.detail, 1.0, t.quantum);
             for seen in &walk.seen {
                 let reach = seen.reach.max(seen.girth * target.nearest);
-                let level = |margin: f32| t.ladder_lod(ladder, &switch, seen.cluster, reach * margin) as u32;
+                let level = |margin: f32| t.ladder_level(ladder, &switch, seen.cluster, reach * margin);
                 let levels = levels(seen, ladder, t.coarsest(ladder, seen.cluster), &level);
                 self.want_cluster(ladder, seen, levels, frame, wants);
             }
@@ -254,11 +277,11 @@ impl Selector {
 
 /// Bytes in VRAM if every cluster that shows is resident at the level that the target asks for, with the coarse buffer and
 /// without the tails of textures.
-fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64 {
+fn bytes_wanted(t: &Tables, ladder: Ladder, shown: &Shown, target: &Target) -> u64 {
     let switch = Switch::new(target.detail, 1.0, t.quantum);
-    let finer = walk.seen.iter().filter(|s| s.shows).map(|s| {
-        let reach = s.reach.max(s.girth * target.nearest);
-        t.bytes_above_coarsest(ladder, s.cluster, t.ladder_lod(ladder, &switch, s.cluster, reach) as u32)
+    let finer = shown.all().iter().map(|&Near { cluster, reach, girth }| {
+        let reach = reach.max(girth * target.nearest);
+        t.bytes_above_coarsest(ladder, cluster, t.ladder_level(ladder, &switch, cluster, reach))
     });
     let always = if ladder == Ladder::Geometry { t.coarse_bytes } else { 0 };
     always.saturating_add(finer.fold(0, u64::saturating_add))
@@ -266,13 +289,13 @@ fn bytes_wanted(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target) -> u64
 
 /// For geometry and textures: what the budgets allow, and what to use in this frame on the way there. Walks the tree for
 /// details little finer than those of the last frame, and again for finer ones where it turns out that the budgets may
-/// allow them. Eyes and walks are those of the views, and those of the views and of what comes soon.
+/// allow them. The budgets hold what shows in the views of this frame, and what comes soon as far as that was looked at.
 fn aim(
     t: &Tables,
     controls: &mut [DetailControl; 2],
     floors: &Floors,
-    [walk, soon]: [&mut Walk; 2],
-    [eyes, soon_eyes]: &[Eyes; 2],
+    Work { walk, soon, shown, .. }: &mut Work,
+    eyes: &Eyes,
     frame: &Frame,
 ) -> [(Target, Target); 2] {
     let scope = if frame.prefetch.around { Scope::Around(MAYBE_MARGIN) } else { Scope::Drawn };
@@ -282,19 +305,19 @@ fn aim(
     loop {
         let finest = [0, 1].map(|k| Switch::new(controls[k].finest(frame, first[k]), 1.0, t.quantum));
         walk.go(t, eyes, &finest, scope);
-        if !frame.prefetch.soon.is_empty() {
-            soon.go(t, soon_eyes, &finest, Scope::Drawn);
-        }
-        let all: &Walk = if frame.prefetch.soon.is_empty() { walk } else { soon };
+        soon.go(t, first, |rungs| on_rungs(t, frame, rungs));
+        shown.clear();
+        [&*walk, &soon.walk].into_iter().for_each(|walk| shown.add(t, walk));
         let most = frame.max_triangles;
         // The target has to hold when all that it wants is resident, a picture with what is.
         let few = |x: &Target| most == u64::MAX || triangles(t, |_| 0.0, walk, x) <= most;
         let now_few = |x: &Target| most == u64::MAX || triangles(t, |c| floors.floor(c), walk, x) <= most;
-        let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, all, x) <= rooms[0] && few(x);
-        let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, all, x) <= rooms[1];
+        let fits = |x: &Target| bytes_wanted(t, Ladder::Geometry, shown, x) <= rooms[0] && few(x);
+        let texels_fit = |x: &Target| !t.has_textures() || bytes_wanted(t, Ladder::Texture, shown, x) <= rooms[1];
         let rungs = [controls[0].search(frame, first[0], fits), controls[1].search(frame, first[1], texels_fit)];
         if let [Some(rung), Some(texture_rung)] = rungs {
-            let is_there = |ladder, x: &Target| is_there(t, ladder, all, x, frame);
+            let is_there =
+                |ladder, x: &Target| [&*walk, &soon.walk].into_iter().all(|walk| is_there(t, ladder, walk, x, frame));
             let geometry = Conditions {
                 is_there: &|x| is_there(Ladder::Geometry, x),
                 may_be_drawn: &|detail| now_few(&Target { detail, nearest: 0.0 }),
@@ -308,6 +331,11 @@ fn aim(
         step *= 4;
         first = [0, 1].map(|k| if rungs[k].is_none() { (first[k] - step).max(0) } else { first[k] });
     }
+}
+
+/// The switches of geometry and textures on two rungs of the ladder of details.
+fn on_rungs(t: &Tables, frame: &Frame, rungs: [i32; 2]) -> [Switch; 2] {
+    rungs.map(|rung| Switch::new(on_rung(frame.detail, rung), 1.0, t.quantum))
 }
 
 /// The budgets without what is kept free for prefetching: a part of what comes and goes, not of the coarse buffer.
@@ -325,7 +353,7 @@ fn is_there(t: &Tables, ladder: Ladder, walk: &Walk, target: &Target, frame: &Fr
     let switch = Switch::new(target.detail, 1.0, t.quantum);
     walk.seen.iter().filter(|s| s.place == Place::Visible).all(|s| {
         let reach = s.reach.max(s.girth * target.nearest);
-        let level = t.ladder_lod(ladder, &switch, s.cluster, reach) as u32;
+        let level = t.ladder_level(ladder, &switch, s.cluster, reach);
         let at = |level: u32| t.chunk(ladder, s.cluster, level).0 as usize;
         let mut needed = level..t.coarsest(ladder, s.cluster);
         // Coarser ones are resident with the finest (I5), and nothing is finer than what failed.

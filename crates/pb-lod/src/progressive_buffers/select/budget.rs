@@ -25,6 +25,7 @@ const LEAD: f64 = 1.25;
 const PATIENCE_SECS: f32 = 1.0;
 
 /// What chunks are wanted for.
+#[derive(PartialEq)]
 pub(super) struct Target {
     /// The detail that the budget allows.
     pub detail: Detail,
@@ -68,6 +69,11 @@ impl DetailControl {
     /// The rung from which on the next search looks, if nobody says to look at finer ones: a little below the last answer.
     pub fn first_rung(&self) -> i32 {
         (self.rung - NEAR_RUNGS).max(0)
+    }
+
+    /// The rung of the last target.
+    pub fn rung(&self) -> i32 {
+        self.rung
     }
 
     /// The next search looks at all rungs.
@@ -173,6 +179,11 @@ fn coarsened(detail: Detail, gain: f64) -> Detail {
         Detail::ErrorPx(tau) => Detail::ErrorPx((tau as f64 * gain) as f32),
         Detail::Bands { k, s } => Detail::Bands { k: (k as f64 / gain) as f32, s: (s as f64 / gain) as f32 },
     }
+}
+
+/// The detail on a rung of the ladder.
+pub(super) fn on_rung(asked: Detail, rung: i32) -> Detail {
+    coarsened(asked, STEP.powi(rung))
 }
 
 /// The factor by which the detail in use may get coarser in a frame.

@@ -47,6 +47,11 @@ fn allowed_texel(switch: &Switch, reach: f32) -> f32 {
     reach * (1.0 / switch.scale).max(1.0) / TEXELS_PER_PIXEL
 }
 
+/// Of a number that is not negative; at most -127 below the normal ones.
+fn floor_log2(x: f32) -> i32 {
+    (x.to_bits() >> (f32::MANTISSA_DIGITS - 1)) as i32 - (f32::MAX_EXP - 1)
+}
+
 /// A sphere in world units, relative to the model's origin.
 #[derive(Clone, Copy)]
 pub(super) struct Sphere {
@@ -323,11 +328,21 @@ impl Tables {
         (allowed_texel(switch, reach) / texel).log2().clamp(finest as f32, tail as f32)
     }
 
-    /// The level of detail of either kind.
-    pub fn ladder_lod(&self, ladder: Ladder, switch: &Switch, cluster: u32, reach: f32) -> f32 {
-        match ladder {
-            Ladder::Geometry => self.lod(switch, cluster, reach),
-            Ladder::Texture => self.texture_lod(switch, cluster, reach),
+    /// The whole level of detail of either kind; where rounding would reach the next level, the finer one.
+    #[inline]
+    pub fn ladder_level(&self, ladder: Ladder, switch: &Switch, cluster: u32, reach: f32) -> u32 {
+        let level = || {
+            let errors = self.errors(cluster);
+            let is_nearer = |i: &usize| reach < switch.distance(errors, i + 1);
+            (0..errors.len() - 1).find(is_nearer).unwrap_or(errors.len() - 1) as u32
+        };
+        if ladder == Ladder::Geometry {
+            return level();
+        }
+        let Tile { texel, finest, tail } = self.tiles[cluster as usize];
+        match switch.bands {
+            Some(_) => level().clamp(finest, tail),
+            None => floor_log2(allowed_texel(switch, reach) / texel).clamp(finest as i32, tail as i32) as u32,
         }
     }
 

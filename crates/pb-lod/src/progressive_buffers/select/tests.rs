@@ -6,10 +6,10 @@ use crate::progressive_buffers::display::GridEye;
 use crate::progressive_buffers::displayed_surface::{Surface, displayed_surface};
 use crate::progressive_buffers::grid_torus::GridTorus;
 
-const PIXEL_ANGLE: f32 = 1e-3;
+pub(super) const PIXEL_ANGLE: f32 = 1e-3;
 
 /// A view from `eye` towards the origin, 60 degrees wide and high.
-fn view(eye: DVec3) -> View {
+pub(super) fn view(eye: DVec3) -> View {
     let forward = -eye.normalize();
     let right = forward.cross(DVec3::new(0.1, 0.2, 1.0)).normalize();
     let up = right.cross(forward);
@@ -19,19 +19,19 @@ fn view(eye: DVec3) -> View {
 }
 
 /// A model, its selector, and a residency that a test can change.
-struct Bench {
+pub(super) struct Bench {
     torus: GridTorus,
-    selector: Selector,
-    resident: Vec<bool>,
+    pub(super) selector: Selector,
+    pub(super) resident: Vec<bool>,
     retiring: Vec<bool>,
     failed: Vec<bool>,
     cut: bool,
-    detail: Detail,
-    budget: u64,
+    pub(super) detail: Detail,
+    pub(super) budget: u64,
 }
 
 impl Bench {
-    fn new(side: u32, levels: u32) -> Bench {
+    pub(super) fn new(side: u32, levels: u32) -> Bench {
         let torus = GridTorus::new(side, levels);
         let selector = Selector::new(&torus.tables());
         let chunks = torus.chunks();
@@ -49,16 +49,16 @@ impl Bench {
         }
     }
 
-    fn all_resident(mut self) -> Bench {
+    pub(super) fn all_resident(mut self) -> Bench {
         self.resident.fill(true);
         self
     }
 
-    fn select(&mut self, views: &[View], dt_secs: f32) -> Plan {
+    pub(super) fn select(&mut self, views: &[View], dt_secs: f32) -> Plan {
         self.select_with(views, Prefetch::AROUND, u64::MAX, dt_secs)
     }
 
-    fn select_with(&mut self, views: &[View], prefetch: Prefetch, max_triangles: u64, dt_secs: f32) -> Plan {
+    pub(super) fn select_with(&mut self, views: &[View], prefetch: Prefetch, max_triangles: u64, dt_secs: f32) -> Plan {
         self.selector.select(&Frame {
             views,
             resident: &self.resident,
@@ -392,31 +392,6 @@ fn without_prefetch_only_what_is_drawn_is_wanted() {
 }
 
 #[test]
-fn what_cameras_to_come_draw_is_wanted_before() {
-    let [here, soon, later] = [DVec3::X, DVec3::Y, -DVec3::X].map(|d| view(d * 2.5 + DVec3::Z * 0.2));
-    let mut bench = Bench::new(48, 4);
-    let alone = |bench: &mut Bench, view: &View| -> Vec<Want> {
-        let plan = bench.select_with(std::slice::from_ref(view), Prefetch::OFF, u64::MAX, f32::INFINITY);
-        plan.wants
-    };
-    let [now, then, at_last] = [&here, &soon, &later].map(|v| alone(&mut bench, v));
-    let prefetch = Prefetch { around: false, soon: &[soon], later: &[later] };
-    let plan = bench.select_with(&[here], prefetch, u64::MAX, f32::INFINITY);
-    let wanted = |c: &ChunkId| plan.wants.iter().find(|w| w.chunk == *c).map(|w| w.class);
-    // The coarse buffer has the coarsest until something finer is drawn.
-    let least = |wants: &[Want], class: Class| {
-        let mut finer = wants.iter().filter(|w| w.chunk.0 % 4 != 3);
-        finer.all(|w| wanted(&w.chunk) >= Some(w.class.min(class)))
-    };
-    assert!(least(&now, Class::Now) && least(&then, Class::Soon) && least(&at_last, Class::Maybe));
-    let of = |class| plan.wants.iter().filter(|w| w.class == class).count();
-    assert!(of(Class::Soon) > 0 && of(Class::Maybe) > 0);
-    let mut chunks: Vec<ChunkId> = plan.wants.iter().map(|w| w.chunk).collect();
-    chunks.sort_unstable();
-    assert!(chunks.windows(2).all(|c| c[0] < c[1]), "a chunk is wanted twice");
-}
-
-#[test]
 fn the_error_rises_until_the_triangles_are_few_enough_and_no_further() {
     let views = [view(DVec3::new(4.0, 0.5, 0.5))];
     let mut bench = Bench::new(48, 4).all_resident();
@@ -476,82 +451,6 @@ fn damaged_chunks_do_not_hold_the_others_up() {
     let flown = stream(&mut bench, usize::MAX, broken);
     let last = flown.last().unwrap();
     assert!(flown.len() < 300 && last.0 == 0.01 && last.1 > 0, "{} frames, {last:?}", flown.len());
-}
-
-#[test]
-fn the_error_rises_until_what_is_seen_soon_fits_too() {
-    let mut bench = Bench::new(48, 4).all_resident();
-    let [here, there] = [DVec3::X, -DVec3::X].map(|d| [view(d * 2.5 + DVec3::Z * 0.2)]);
-    let soon = Prefetch { around: false, soon: &there, later: &[] };
-    let error = |plan: Plan| match plan.detail {
-        Some(Detail::ErrorPx(tau)) => tau,
-        other => panic!("{other:?}"),
-    };
-    let bytes = |bench: &Bench, plan: &Plan| {
-        let finer = plan.wants.iter().filter(|w| w.class >= Class::Soon).map(|w| w.chunk.0);
-        let finer = finer.filter(|c| c % 4 != 3).map(|c| bench.selector.tables.chunk_bytes(ChunkId(c)));
-        finer.sum::<u64>() + bench.selector.tables.coarse_bytes
-    };
-    let all = bench.select_with(&here, Prefetch::OFF, u64::MAX, f32::INFINITY);
-    bench.budget = bytes(&bench, &all) * 17 / 15;
-    let alone = error(bench.select_with(&here, Prefetch::OFF, u64::MAX, f32::INFINITY));
-    let plan = bench.select_with(&here, soon, u64::MAX, f32::INFINITY);
-    assert!(bytes(&bench, &plan) <= bench.budget, "{} of {}", bytes(&bench, &plan), bench.budget);
-    assert!(alone == 1.0 && error(plan) > alone);
-}
-
-/// The short cuts of a frame: floors at rest are not looked at, the search begins at the last answer, and the walk goes
-/// only as deep as that needs.
-#[test]
-fn what_is_remembered_of_the_last_frame_saves_work_and_changes_nothing() {
-    let torus = GridTorus::new(8, 5);
-    let chunks = torus.chunks();
-    let all: u64 = torus.chunk_bytes.iter().sum();
-    let (mut quick, mut thorough) = (Selector::new(&torus.tables()), Selector::new(&torus.tables()));
-    let mut resident: Vec<bool> = (0..chunks).map(|c| c % 5 == 4).collect();
-    let mut retiring = vec![false; chunks];
-    let (mut finer, mut moved) = (0, 0);
-    for step in 0..300u64 {
-        let noise = |k: u64| (step * 97 + k * 31).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
-        let mut changed = Vec::new();
-        for k in 0..noise(1) % 5 {
-            let chunk = (noise(k + 2) % chunks as u64) as usize;
-            resident[chunk] = chunk % 5 == 4 || noise(k + 9) % 4 > 0;
-            retiring[chunk] = resident[chunk] && chunk % 5 < 4 && noise(k + 17) % 3 == 0;
-            changed.push(ChunkId(chunk as u32));
-        }
-        let eye = |ahead: f64| {
-            let t = (step as f64 + ahead) * 0.02;
-            view(DVec3::new(24.0 * t.cos(), 3.0 + 20.0 * (0.3 * t).sin().abs(), 24.0 * t.sin()))
-        };
-        let (soon, later) = ([eye(8.0), eye(16.0)], [eye(40.0)]);
-        let frame = Frame {
-            views: &[eye(0.0)],
-            resident: &resident,
-            retiring: &retiring,
-            failed: &vec![false; chunks],
-            changed: Some(&changed),
-            detail: Detail::ErrorPx(0.2),
-            vram_budget_bytes: all / if step / 25 % 2 == 0 { 3 } else { 40 },
-            texture_budget_bytes: 0,
-            max_triangles: if step < 200 { u64::MAX } else { 400 },
-            prefetch: match step / 30 % 3 {
-                0 => Prefetch::OFF,
-                1 => Prefetch { around: false, soon: &soon, later: &later },
-                _ => Prefetch { around: true, soon: &soon, later: &later },
-            },
-            cut: false,
-            dt_secs: 0.05,
-        };
-        let before = quick.controls[0].first_rung();
-        let found = quick.select(&frame);
-        thorough.controls.iter_mut().for_each(DetailControl::forget_rung);
-        let expected = thorough.select(&Frame { changed: None, ..frame });
-        assert_eq!(format!("{found:?}"), format!("{expected:?}"), "frame {step}");
-        let after = quick.controls[0].first_rung();
-        (finer, moved) = (finer + (after + 4 < before) as u32, moved + (after != before) as u32);
-    }
-    assert!(finer > 1 && moved > 20, "the walk had to go deeper {finer} times, the search moved {moved} times");
 }
 
 #[test]
