@@ -64,6 +64,10 @@ bench-soak *ARGS:
 figures *ARGS:
     tools/figures {{ARGS}}
 
+# from a cut to full detail, in a generated colonnade from a solid state disk
+bench-cuts *ARGS:
+    tools/bench-cuts {{ARGS}}
+
 # each fuzz target for SECONDS
 fuzz SECONDS="600":
     tools/fuzz-all {{SECONDS}}

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use super::stone::ramp;
 use super::{BAY, Layout, check_triangles};
+use crate::random::Random;
 use crate::reference::camera::{Flypath, Keyframe};
 
 /// Of the flypath that is written beside a scene.
@@ -23,6 +24,8 @@ const THROUGH: f64 = 0.78;
 const TURNED: f64 = 0.90;
 /// Half of the part of the way that says where eyes look.
 const GLANCE: f64 = 0.09;
+/// How long a still stands.
+const STILL_SECONDS: f64 = 2.0;
 /// Keyframes of a flight.
 const KEYS: u32 = 180;
 
@@ -38,15 +41,25 @@ pub struct FlightArguments {
     /// Frames per second.
     #[arg(long, default_value_t = FPS)]
     fps: f64,
+    /// Instead of a walk so many stills of two seconds from places along it, in random directions, with cuts between them.
+    #[arg(long)]
+    cuts: Option<u32>,
+    /// Of the stills.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
 /// Writes what the command line asks for.
 pub fn run(arguments: &FlightArguments) -> Result<Value> {
-    let FlightArguments { out, triangles, seconds, fps } = arguments;
+    let FlightArguments { out, triangles, seconds, fps, cuts, seed } = arguments;
     check_triangles(*triangles)?;
     ensure!((1.0..=86_400.0).contains(seconds), "--seconds must be 1 to 86400");
     ensure!((1.0..=1000.0).contains(fps), "--fps must be 1 to 1000");
-    let flight = flight(&Layout::new(*triangles), *seconds, *fps);
+    let layout = Layout::new(*triangles);
+    let flight = match cuts {
+        Some(cuts) => stills(&layout, (*cuts).clamp(1, 10_000), *fps, *seed),
+        None => flight(&layout, *seconds, *fps),
+    };
     flight.write(out)?;
     Ok(json!({ "frames": flight.frames() }))
 }
@@ -60,6 +73,27 @@ pub fn flight(layout: &Layout, seconds: f64, fps: f64) -> Flypath {
         Keyframe { t: share * seconds, eye, target, up: DVec3::Y, fov_deg: None }
     };
     Flypath::new(fps, FOV_DEG, (0..=KEYS).map(key).collect())
+}
+
+/// Stills from random places of the walk in random directions, with cuts between them.
+pub fn stills(layout: &Layout, cuts: u32, fps: f64, seed: u64) -> Flypath {
+    let way = way(layout);
+    let mut random = Random::new(seed);
+    let mut still = |k: u32| {
+        let (eye, _) = look(&way, layout, THROUGH * random.unit());
+        let (yaw, pitch) = (TAU * random.unit(), -0.2 + 0.7 * random.unit());
+        let target = eye + 5.0 * DVec3::new(yaw.cos() * pitch.cos(), pitch.sin(), yaw.sin() * pitch.cos());
+        let start = f64::from(k) * STILL_SECONDS;
+        // Pairs, so that the curve swings within a millisecond only.
+        [0.0, 1e-3, STILL_SECONDS - 2e-3, STILL_SECONDS - 1e-3].map(|t| Keyframe {
+            t: start + t,
+            eye,
+            target,
+            up: DVec3::Y,
+            fov_deg: None,
+        })
+    };
+    Flypath::new(fps, FOV_DEG, (0..cuts).flat_map(&mut still).collect())
 }
 
 /// Places that the walk goes through, at ground level: down the middle aisle, and again and again between two

@@ -189,3 +189,14 @@ fn the_flight_has_no_cut_and_passes_between_the_pillars() {
         }
     }
 }
+
+#[test]
+fn stills_stand_for_two_seconds_each_and_then_jump() {
+    let layout = Layout::new(1_000_000);
+    let [flight, other] = [1, 2].map(|seed| flight::stills(&layout, 5, 30.0, seed));
+    assert_eq!(flight.frames(), 300);
+    let eye = |frame: usize| flight.camera(frame, [64, 36]).eye;
+    let jumps: Vec<usize> = (0..299).filter(|&f| eye(f).distance(eye(f + 1)) > 1e-6).collect();
+    assert_eq!(jumps, [59, 119, 179, 239]);
+    assert!(other.camera(0, [64, 36]).eye != eye(0));
+}
