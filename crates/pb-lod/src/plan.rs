@@ -34,6 +34,16 @@ pub enum Detail {
     },
 }
 
+impl Detail {
+    /// With its error multiplied, or its bands divided, by `gain`.
+    pub fn coarsened(self, gain: f64) -> Detail {
+        match self {
+            Detail::ErrorPx(tau) => Detail::ErrorPx((tau as f64 * gain) as f32),
+            Detail::Bands { k, s } => Detail::Bands { k: (k as f64 / gain) as f32, s: (s as f64 / gain) as f32 },
+        }
+    }
+}
+
 /// What is loaded before it is drawn (paper section 4.1).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Prefetch<'a> {
@@ -87,6 +97,25 @@ pub struct Frame<'a> {
     pub cut: bool,
     /// Seconds since the last frame: how far residency floors may move. `f32::INFINITY` settles them at once.
     pub dt_secs: f32,
+}
+
+#[cfg(test)]
+impl Frame<'_> {
+    /// No view of no model, for tests that change what they are about.
+    pub(crate) const EMPTY: Frame<'static> = Frame {
+        views: &[],
+        resident: &[],
+        retiring: &[],
+        failed: &[],
+        changed: None,
+        detail: Detail::ErrorPx(1.0),
+        vram_budget_bytes: 0,
+        texture_budget_bytes: 0,
+        max_triangles: 0,
+        prefetch: Prefetch::OFF,
+        cut: false,
+        dt_secs: 0.1,
+    };
 }
 
 /// Priority class of a want, the paper's section 4.1: higher is more urgent.

@@ -149,14 +149,11 @@ impl Undrawn {
     fn new(args: &Args, model: Arc<Model>) -> Result<Self> {
         let tables = model_tables(&model);
         let plan = VramPlan::new(&tables, args.vram, &AdapterLimits::COMMON)?;
-        let (texture_bytes, texture_costs) = plan.texture_costs(&tables);
-        let mut chunks = tables.chunk_vram_bytes();
-        let geometry = chunks.len();
-        chunks.extend(texture_costs);
-        let tails = (geometry..chunks.len()).filter(|&c| model.always_resident(ChunkId(c as u32))).map(|c| chunks[c]);
-        let tails: u64 = tails.sum();
+        let costs = VramCosts::new(&tables, &plan);
+        let is_tail = |c: &ChunkId| model.is_texture(*c) && model.always_resident(*c);
+        let tails = (0..model.chunk_count()).map(ChunkId).filter(is_tail);
+        let tails: u64 = tails.map(|c| costs.chunks[c.0 as usize]).sum();
         let start_bytes = [plan.start_bytes() + tails, tails];
-        let costs = VramCosts { chunks, budgets: [plan.chunk_budget_bytes(), texture_bytes] };
         let feed = Feed::unread(model.clone(), args.disk_model.unwrap_or_default());
         Ok(Self { streaming: Streaming::new(model, &costs, args.bounds(), feed)?, plan, start_bytes })
     }

@@ -64,12 +64,7 @@ impl FrameRate {
 
     /// The detail to ask for instead.
     pub fn detail(&self, asked: Detail) -> Detail {
-        match asked {
-            Detail::ErrorPx(tau) => Detail::ErrorPx((f64::from(tau) * self.gain) as f32),
-            Detail::Bands { k, s } => {
-                Detail::Bands { k: (f64::from(k) / self.gain) as f32, s: (f64::from(s) / self.gain) as f32 }
-            }
-        }
+        asked.coarsened(self.gain)
     }
 }
 

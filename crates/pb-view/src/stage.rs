@@ -55,10 +55,7 @@ impl Stage {
         let tails: Vec<&[u8]> = coarse.tails.iter().map(|t| &**t).collect();
         let coarse = Coarse { chunks: &data, tails: &tails };
         let renderer = Renderer::new(gpu, &tables, &coarse, bounds.vram_bytes, picture)?;
-        let (texture_bytes, texture_costs) = renderer.model.texture_costs();
-        let mut chunks = tables.chunk_vram_bytes();
-        chunks.extend(texture_costs);
-        let costs = VramCosts { chunks, budgets: [renderer.model.chunk_budget_bytes(), texture_bytes] };
+        let costs = VramCosts::new(&tables, renderer.model.plan());
         let streaming = Streaming::new(model.clone(), &costs, bounds, Feed::new(model))?;
         Ok(Self { streaming, renderer, switch: None })
     }

@@ -9,10 +9,10 @@ use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View, Want};
 use pb_lod::progressive_buffers::layout::ModelRecord;
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
-use pb_render::{Camera, ModelTables, grid_eye};
+use pb_render::{Camera, ModelTables, VramPlan, grid_eye};
 use pb_stream::cache::{ChunkInfo, Command, Limits};
 use pb_stream::journal::Recorded;
-use pb_stream::loader::{LoadResult, LoadStats};
+use pb_stream::loader::LoadResult;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -92,6 +92,16 @@ pub struct VramCosts {
     pub budgets: [u64; 2],
 }
 
+impl VramCosts {
+    /// Of a model whose bound is spent like this.
+    pub fn new(tables: &ModelTables, plan: &VramPlan) -> Self {
+        let (texture_bytes, texture_costs) = plan.texture_costs(tables);
+        let mut chunks = tables.chunk_vram_bytes();
+        chunks.extend(texture_costs);
+        Self { chunks, budgets: [plan.chunk_budget_bytes(), texture_bytes] }
+    }
+}
+
 /// Where chunks are drawn from.
 pub trait Adapter {
     /// Takes a chunk in. False where there is no room.
@@ -146,15 +156,7 @@ impl Streaming {
         let levels = model.levels() as usize;
         let coarse_bytes: u64 =
             costs.chunks[..model.clusters().len() * levels].iter().skip(levels - 1).step_by(levels).sum();
-        let selector = Selector::new(&SelectTables {
-            model: model.record(),
-            clusters: model.clusters(),
-            levels: model.level_records(),
-            neighbours: model.neighbour_entries(),
-            nodes: model.nodes(),
-            textures: model.textures(),
-            chunk_bytes: &costs.chunks,
-        });
+        let selector = Selector::new(&SelectTables::of(&model, &costs.chunks));
         let limits = Limits::new(bounds.ram_bytes, costs.budgets);
         let cache = Recorded::new(chunk_infos(&model, &costs.chunks), limits)?;
         let coarsest = model.model_levels().last().map_or(0, |l| l.triangles);
@@ -321,11 +323,6 @@ impl Streaming {
     /// Writes what is still buffered of the recorded run; fails if any of it could not be written.
     pub fn finish_recording(&mut self) -> Result<()> {
         self.cache.finish_recording().context("the run of the cache cannot be written")
-    }
-
-    /// What was read from the file since the start.
-    pub fn load_stats(&self) -> LoadStats {
-        self.feed.stats()
     }
 
     /// From now on loads what these cameras will show.

@@ -77,15 +77,7 @@ impl Selector {
     /// A selector for an open archive; bytes in VRAM are those of decoded chunks.
     pub fn for_model(model: &Model) -> Selector {
         let chunk_bytes: Vec<u64> = (0..model.chunk_count()).map(|c| model.decoded_bytes(ChunkId(c)) as u64).collect();
-        Selector::new(&SelectTables {
-            model: model.record(),
-            clusters: model.clusters(),
-            levels: model.level_records(),
-            neighbours: model.neighbour_entries(),
-            nodes: model.nodes(),
-            textures: model.textures(),
-            chunk_bytes: &chunk_bytes,
-        })
+        Selector::new(&SelectTables::of(model, &chunk_bytes))
     }
 
     /// Errors of a cluster per level, input units, starting at 0 and strictly increasing: what a

@@ -176,20 +176,7 @@ mod tests {
     }
 
     fn next(turns: &mut Turns, views: &[View], prefetch: Prefetch, dt_secs: f32) -> [bool; 2] {
-        turns.next(&Frame {
-            views,
-            resident: &[],
-            retiring: &[],
-            failed: &[],
-            changed: None,
-            detail: Detail::ErrorPx(1.0),
-            vram_budget_bytes: 0,
-            texture_budget_bytes: 0,
-            max_triangles: 0,
-            prefetch,
-            cut: false,
-            dt_secs,
-        })
+        turns.next(&Frame { views, prefetch, dt_secs, ..Frame::EMPTY })
     }
 
     #[test]

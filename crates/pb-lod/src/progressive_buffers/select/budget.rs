@@ -2,8 +2,8 @@
 //! each frame, the detail in use moves towards it slowly, so that a tight budget never makes a jump.
 //!
 //! It gets finer only where the data for that is there (paper section 4.4: detail grows as long as the resources allow it),
-//! so that a slow disk shows as a detail that rises slowly, evenly over the picture, and not as patches. Data that never
-//! comes (damaged chunks) holds it up for [`PATIENCE_SECS`] per step at most.
+//! so that a slow disk shows as a detail that rises slowly, evenly over the picture, and not as patches. Damaged chunks are
+//! not waited for; data that fits nowhere holds it up for [`PATIENCE_SECS`] per step.
 
 use crate::plan::{Detail, Frame};
 
@@ -37,7 +37,7 @@ pub(super) struct Target {
 
 impl Target {
     fn new(asked: Detail, gain: f64) -> Target {
-        Target { detail: coarsened(asked, gain), nearest: (1.0 - 1.0 / gain) as f32 }
+        Target { detail: asked.coarsened(gain), nearest: (1.0 - 1.0 / gain) as f32 }
     }
 }
 
@@ -85,7 +85,7 @@ impl DetailControl {
     /// The finest detail that [`search`](Self::search) asks the cost of and [`step`](Self::step) returns or asks the cost of,
     /// where the search looks at `first` and coarser rungs.
     pub fn finest(&self, frame: &Frame, first: i32) -> Detail {
-        coarsened(frame.detail, STEP.powi(first).min(self.start(frame.detail) * reach(frame)))
+        frame.detail.coarsened(STEP.powi(first).min(self.start(frame.detail) * reach(frame)))
     }
 
     /// The rung of the finest target on the ladder that `fits`; none when rungs finer than `first` may fit, too.
@@ -100,7 +100,7 @@ impl DetailControl {
         let at = |gain: f64| Target::new(frame.detail, gain);
         let target = STEP.powi(rung);
         let gain = self.towards(target, frame, |gain| (conditions.is_there)(&at(gain)));
-        let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(coarsened(frame.detail, gain));
+        let may_be_drawn = |gain: f64| (conditions.may_be_drawn)(frame.detail.coarsened(gain));
         let before = self.last.map(|_| self.start(frame.detail)).filter(|_| frame.dt_secs < f32::INFINITY);
         let free = may_be_drawn(gain);
         // What may not be drawn is a bound, no data that is still to come.
@@ -173,17 +173,9 @@ impl DetailControl {
     }
 }
 
-/// `detail` with its error multiplied, or its bands divided, by `gain`.
-fn coarsened(detail: Detail, gain: f64) -> Detail {
-    match detail {
-        Detail::ErrorPx(tau) => Detail::ErrorPx((tau as f64 * gain) as f32),
-        Detail::Bands { k, s } => Detail::Bands { k: (k as f64 / gain) as f32, s: (s as f64 / gain) as f32 },
-    }
-}
-
 /// The detail on a rung of the ladder.
 pub(super) fn on_rung(asked: Detail, rung: i32) -> Detail {
-    coarsened(asked, STEP.powi(rung))
+    asked.coarsened(STEP.powi(rung))
 }
 
 /// The factor by which the detail in use may get coarser in a frame.
@@ -214,7 +206,6 @@ fn first_that(rungs: std::ops::Range<i32>, guess: i32, fits: impl Fn(i32) -> boo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::Prefetch;
     use std::cell::Cell;
 
     #[test]
@@ -238,20 +229,7 @@ mod tests {
 
     #[test]
     fn a_search_that_may_have_missed_finer_rungs_says_so_and_ends_where_a_full_one_does() {
-        let frame = Frame {
-            views: &[],
-            resident: &[],
-            retiring: &[],
-            failed: &[],
-            changed: None,
-            detail: Detail::ErrorPx(1.0),
-            vram_budget_bytes: 0,
-            texture_budget_bytes: 0,
-            max_triangles: 0,
-            prefetch: Prefetch::OFF,
-            cut: false,
-            dt_secs: 0.1,
-        };
+        let frame = Frame::EMPTY;
         let mut control = DetailControl { rung: 60, ..DetailControl::default() };
         let least = STEP.powi(40) as f32;
         let fits = |target: &Target| matches!(target.detail, Detail::ErrorPx(tau) if tau >= least);

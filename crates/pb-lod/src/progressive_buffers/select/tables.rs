@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::super::display::lod_from;
 use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
+use super::super::model::Model;
 use super::super::switch::{Switch, increasing, min_step};
 use super::super::textures::{Textures, TileRecord};
 use crate::plan::ChunkId;
@@ -26,6 +27,21 @@ pub struct SelectTables<'a> {
     /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures,
     /// in the unit of theirs, follow where there are any; `u64::MAX` for those that never fit and are not to be wanted.
     pub chunk_bytes: &'a [u64],
+}
+
+impl<'a> SelectTables<'a> {
+    /// Those of an open archive.
+    pub fn of(model: &'a Model, chunk_bytes: &'a [u64]) -> Self {
+        Self {
+            model: model.record(),
+            clusters: model.clusters(),
+            levels: model.level_records(),
+            neighbours: model.neighbour_entries(),
+            nodes: model.nodes(),
+            textures: model.textures(),
+            chunk_bytes,
+        }
+    }
 }
 
 /// The two sequences of chunks of a cluster, each with its own level of detail
