@@ -1,6 +1,6 @@
 //! The errors of every level: distances to the input, per cluster and for the whole model.
 
-use super::Clusters;
+use super::{Clusters, Outside, Stage};
 use pb_mesh::deviation::{LevelPair, TextureDeviation, measure};
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::{Fans, Kind};
@@ -86,7 +86,7 @@ pub(super) fn measure_levels(
     clusters: &Clusters,
     collapses: &Collapses,
     levels: usize,
-    progress: &dyn Fn(f32),
+    outside: &Outside,
 ) -> Vec<LevelErrors> {
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let components = &clusters.segmentation.components;
@@ -106,33 +106,36 @@ pub(super) fn measure_levels(
     for level in 1..levels as u8 {
         ancestors.advance(collapses, components, level);
         surfaces.push(surfaces[level as usize - 1].coarser(&ancestors.survivors));
-        let base = (level as usize).saturating_sub(MEASURE_STEP);
-        let (fine, coarse) = (&surfaces[base], &surfaces[level as usize]);
-        let pair = LevelPair {
-            positions: &grid.points,
-            triangles: &fine.triangles,
-            fine: &fine.fans,
-            cluster_of: &fine.cluster_of,
-            coarse: &coarse.triangles,
-            fans: &coarse.fans,
-            coarse_cluster_of: &coarse.cluster_of,
-            ancestors: &ancestors.inside_component,
-            open: &open,
+        let errors = || {
+            let base = (level as usize).saturating_sub(MEASURE_STEP);
+            let (fine, coarse) = (&surfaces[base], &surfaces[level as usize]);
+            let pair = LevelPair {
+                positions: &grid.points,
+                triangles: &fine.triangles,
+                fine: &fine.fans,
+                cluster_of: &fine.cluster_of,
+                coarse: &coarse.triangles,
+                fans: &coarse.fans,
+                coarse_cluster_of: &coarse.cluster_of,
+                ancestors: &ancestors.inside_component,
+                open: &open,
+            };
+            let deviation = measure(&pair, count);
+            let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
+            let bound = |c: usize| {
+                let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
+                round_up(distance).max(finer.max[c])
+            };
+            let square = deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE) * grid.quantum * grid.quantum;
+            LevelErrors {
+                max: (0..count).map(bound).collect(),
+                rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
+                vertices: used_positions(&coarse.triangles, grid.points.len()),
+            }
         };
-        let deviation = measure(&pair, count);
-        let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
-        let bound = |c: usize| {
-            let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
-            round_up(distance).max(finer.max[c])
-        };
-        let square = deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE) * grid.quantum * grid.quantum;
-        let next = LevelErrors {
-            max: (0..count).map(bound).collect(),
-            rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
-            vertices: used_positions(&coarse.triangles, grid.points.len()),
-        };
+        let next = outside.kept("errors", level.into(), errors);
         list.push(next);
-        progress(f32::from(level) / (levels - 1) as f32);
+        (outside.progress)(Stage::Measure, f32::from(level) / (levels - 1) as f32);
     }
     list
 }
