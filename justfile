@@ -16,6 +16,14 @@ demo:
 bench-bake *MESHES:
     tools/bench-bake {{MESHES}}
 
+# memory of bakes of generated meshes of 16 and 64 million triangles under bounds; or of the sizes given, in millions
+bench-memory *MILLIONS:
+    tools/bench-memory {{MILLIONS}}
+
+# how true the remaining time is that pb-bake shows
+bench-progress *MESHES:
+    tools/bench-progress {{MESHES}}
+
 # distance of every level to its input, beside meshopt at the same vertex counts
 bench-levels *MESHES:
     tools/bench-levels {{MESHES}}

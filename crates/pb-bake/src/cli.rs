@@ -119,6 +119,9 @@ pub struct BakeArgs {
     /// Print the summary as one JSON object on standard output
     #[arg(long)]
     pub json: bool,
+    /// Print progress on standard error as JSON objects, one per line, five per second; also with --quiet
+    #[arg(long)]
+    pub progress_json: bool,
     /// Join positions at most this far apart, in units of the model; 0 joins equal ones only
     #[arg(long, value_name = "T", default_value_t = 0.0, value_parser = tolerance)]
     pub weld_tolerance: f64,

@@ -229,6 +229,7 @@ fn origin(args: &BakeArgs) -> String {
         force: _,
         quiet: _,
         json: _,
+        progress_json: _,
         weld_tolerance,
         crease_angle,
         normals,

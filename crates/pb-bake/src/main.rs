@@ -25,7 +25,7 @@ use pb_bake::traces;
 use pb_lod::progressive_buffers::bake::{BakeError, Stage};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
-use progress::{Mode, Progress};
+use progress::{Mode, Progress, Work};
 use report::BakeSummary;
 use scene::Scene;
 use std::process::ExitCode;
@@ -64,7 +64,9 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     writer.temporary().into_iter().for_each(traces::add);
     interrupt::install()?;
     let (bound, keeps) = room::bound_memory(args)?;
-    let progress = Progress::new(Mode::of(args.quiet));
+    let bytes = |input: &std::path::PathBuf| std::fs::metadata(input).map_or(0, |m| m.len());
+    let work = Work { input_bytes: args.inputs.iter().map(bytes).sum(), ..Work::default() };
+    let progress = Progress::new(Mode::of(args.quiet, args.progress_json), work);
     let mut job = Job::open(args, keeps, &progress)?;
     match bake_into(writer, args, &mut job, &progress) {
         Ok(summary) => {
@@ -97,6 +99,9 @@ fn bake_into(
 ) -> Result<BakeSummary, Failure> {
     let mut scene = scene::load(args, job, progress)?;
     let show = |stage, share| {
+        if let Stage::Textures { texels } = stage {
+            progress.work(|work| work.tile_texels = Some(texels));
+        }
         progress.stage(stage_name(stage));
         progress.share(share);
     };
@@ -138,6 +143,6 @@ fn stage_name(stage: Stage) -> &'static str {
         Stage::Simplify => "simplify",
         Stage::Measure => "measure",
         Stage::Pack => "pack",
-        Stage::Textures => "texels",
+        Stage::Textures { .. } => "texels",
     }
 }

@@ -3,7 +3,7 @@
 use crate::cli::BakeArgs;
 use crate::failure::{Failure, blame_machine};
 use bytesize::ByteSize;
-use pb_bake::memory::{ANONYMOUS_SHARE, Bound, free_bytes};
+use pb_bake::memory::{Bound, anonymous_share, free_bytes};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -26,7 +26,7 @@ pub fn bound_memory(args: &BakeArgs) -> Result<(Option<Bound>, bool), Failure> {
     let Some(memory) = args.memory_bytes() else { return Ok((None, true)) };
     let folder = args.temp_folder();
     let held: u64 = args.inputs.iter().map(|input| working_bytes(input)).sum();
-    let beyond = held.saturating_sub((memory as f64 * ANONYMOUS_SHARE) as u64);
+    let beyond = held.saturating_sub((memory as f64 * anonymous_share(memory)) as u64);
     let free = free_bytes(folder);
     if let Some(free) = free.filter(|free| *free < beyond) {
         return Err(blame_machine(format!(

@@ -134,6 +134,7 @@ pub fn load(args: &BakeArgs, job: &mut Job, progress: &Progress) -> Result<Scene
         progress.note("the images have changed since the bake was cut short; it begins anew");
         job.clear();
     }
+    progress.work(|work| work.triangles = Some(scene.mesh.triangles.len() as u64));
     if args.normal_map && scene.mesh.texturing.is_none() {
         scene.mesh.texturing = Some(Texturing::plain(scene.mesh.triangles.len()));
         scene.textures.get_or_insert_default();
@@ -154,6 +155,7 @@ fn read(args: &BakeArgs, progress: &Progress) -> Result<Scene, Failure> {
         true => (Vec::new(), None),
         false => decode(&import.images, args, progress).map(|(images, summary)| (images, Some(summary)))?,
     };
+    progress.work(|work| work.triangles = Some(import.soup.triangles.len() as u64));
     progress.stage("repair");
     let (mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
         MeshError::BadTolerance { .. } => blame_machine(e),
@@ -176,6 +178,7 @@ fn decode(
     for fault in &decoded.faults {
         progress.note(&format!("warning: {}; a magenta checker stands in its place", fault.message));
     }
+    progress.work(|work| work.image_texels = Some(decoded.texels()));
     let (images, placeholders) = (decoded.images.len(), decoded.faults.len());
     if let (true, Some(first)) = (args.strict, decoded.faults.first()) {
         let text = format!("{} (--strict: {placeholders} of {images} images cannot be used)", first.message);

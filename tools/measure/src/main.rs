@@ -5,7 +5,9 @@ mod colonnade;
 mod compare;
 mod distance;
 mod flights;
+mod forecast;
 mod generate;
+mod landscape;
 mod levels;
 mod memory;
 mod mesh;
@@ -49,6 +51,24 @@ enum Measurement {
         triangles: usize,
         #[arg(long, default_value_t = 1)]
         seed: u64,
+    },
+    /// Make a height field of any size, row by row: a binary PLY.
+    Landscape {
+        out: PathBuf,
+        /// About how many triangles.
+        #[arg(long, default_value_t = 16_000_000)]
+        triangles: usize,
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
+    /// How true the remaining time is that a bake shows.
+    Forecast {
+        /// The pb-bake to follow; else the one beside this program.
+        #[arg(long)]
+        pb_bake: Option<PathBuf>,
+        /// Its arguments.
+        #[arg(required = true, trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
     },
     /// Distance between two surfaces, both ways, by sampling.
     Distance {
@@ -145,6 +165,13 @@ fn run(command: Measurement) -> Result<bool> {
             let mesh = generate::generate(kind, triangles, seed);
             mesh.write(&out)?;
             println!("{}", json!({ "triangles": mesh.triangles.len(), "vertices": mesh.positions.len() }));
+        }
+        Measurement::Landscape { out, triangles, seed } => {
+            ensure!(triangles > 0 && triangles <= 1_000_000_000, "--triangles must be 1 to 1000 million");
+            println!("{}", landscape::write(&out, triangles, seed)?);
+        }
+        Measurement::Forecast { pb_bake, arguments } => {
+            println!("{:#}", forecast::run(&pb_bake.unwrap_or_else(levels::default_pb_bake), &arguments)?);
         }
         Measurement::Distance { a, b, samples, seed } => {
             let found = distance_of(&Mesh::read(&a)?, &Mesh::read(&b)?, samples, seed)?;

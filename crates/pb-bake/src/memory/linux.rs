@@ -34,6 +34,8 @@ pub(super) enum Place {
 static REGIONS: [Mutex<Option<Region>>; 2] = [Mutex::new(None), Mutex::new(None)];
 /// First address and length of each region, so that a block is told without a lock; length 0: not there.
 static RANGES: [[AtomicUsize; 2]; 2] = [const { [const { AtomicUsize::new(0) }; 2] }; 2];
+/// Bytes of the file's region up to the end of what was ever used, so that pages can be let go while others wait for the disk.
+static FILE_END: AtomicUsize = AtomicUsize::new(0);
 /// Most bytes of the anonymous region, and what it has.
 pub(super) static BUDGET: AtomicUsize = AtomicUsize::new(usize::MAX);
 pub(super) static HELD: AtomicUsize = AtomicUsize::new(0);
@@ -87,6 +89,17 @@ fn note_range(place: Place, region: Option<&Region>) {
     RANGES[place as usize][1].store(length, Ordering::Release);
 }
 
+/// Notes how much of the file is used.
+fn note_use(region: Option<&Region>) {
+    SPILLED.fetch_max(region.map_or(0, Region::held), Ordering::Relaxed);
+    FILE_END.fetch_max(region.map_or(0, Region::end), Ordering::Relaxed);
+}
+
+/// First address and length of that part of the file's range that was ever used.
+pub(super) fn file_range() -> (usize, usize) {
+    (RANGES[Place::File as usize][0].load(Ordering::Relaxed), FILE_END.load(Ordering::Relaxed))
+}
+
 fn pages(bytes: usize) -> usize {
     bytes.next_multiple_of(PAGE)
 }
@@ -110,8 +123,7 @@ fn take(layout: Layout) -> Option<*mut u8> {
         let mut region = lock(Place::File);
         match region.as_mut().and_then(|r| r.take(size)) {
             Some(start) => {
-                let held = region.as_ref().map_or(0, Region::held);
-                SPILLED.fetch_max(held, Ordering::Relaxed);
+                note_use(region.as_ref());
                 return Some(start);
             }
             None if region.is_some() && !IN_FILES.get() => {
@@ -165,7 +177,12 @@ fn resize(place: Place, start: *mut u8, old: usize, new: usize) -> bool {
         return true;
     }
     let over = place == Place::Anonymous && place_for(new - old) == Place::File;
-    let grown = !over && lock(place).as_mut().is_some_and(|r| r.grow(start, old, new));
+    let mut region = lock(place);
+    let grown = !over && region.as_mut().is_some_and(|r| r.grow(start, old, new));
+    if grown && place == Place::File {
+        note_use(region.as_ref());
+    }
+    drop(region);
     if grown && place == Place::Anonymous {
         HELD.fetch_add(new - old, Ordering::Relaxed);
     }
@@ -184,6 +201,8 @@ unsafe impl GlobalAlloc for Memory {
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         match take(layout) {
+            // A file's are zeros; to write them would bring its pages in.
+            Some(start) if place_of(start, layout) == Some(Place::File) => start,
             // SAFETY: the block has as many bytes.
             Some(start) => unsafe {
                 start.write_bytes(0, layout.size());

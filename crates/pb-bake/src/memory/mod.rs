@@ -36,9 +36,20 @@ pub(crate) use elsewhere::in_files;
 #[cfg(not(target_os = "linux"))]
 pub use elsewhere::{Bound, Memory, Watched};
 
+/// Pages that come faster than they are let go may take so many bytes for a moment.
+const BURST_BYTES: f64 = 360e6;
+
+/// Share of the bound from where on pages are let go: room for a burst is left, which is a small part of large bounds and a
+/// third of the smallest.
+fn high_share(bound: f64) -> f64 {
+    1.0 - (BURST_BYTES / bound).clamp(0.12, 0.35)
+}
+
 /// Share of the bound that large blocks in the system's memory may hold together. The rest is for small blocks, mapped files,
-/// and those pages of the temporary file that are in use.
-pub const ANONYMOUS_SHARE: f64 = 0.65;
+/// those pages of the temporary file that are in use, and bursts.
+pub fn anonymous_share(bound: u64) -> f64 {
+    high_share(bound as f64) - 0.23
+}
 
 /// What a bake held and wrote for want of memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

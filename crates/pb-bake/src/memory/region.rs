@@ -115,19 +115,6 @@ impl Region {
         }
     }
 
-    /// Lets go of the pages of a file's part from `offset` on, at most `size` bytes: they stay in the file, and come back when
-    /// they are touched. Where that part ends; 0 at the end of what was ever used.
-    #[allow(unsafe_code)]
-    pub(super) fn let_go(&self, offset: usize, size: usize) -> usize {
-        let end = (offset + size).min(self.extents.end());
-        if self.file.is_some() && offset < end {
-            // SAFETY: the mapping is shared, so what was written stays in the file; readers and writers on other threads see
-            // the same bytes before and after.
-            let _ = unsafe { madvise((self.base + offset) as *mut _, end - offset, Advice::LinuxDontNeed) };
-        }
-        if end >= self.extents.end() { 0 } else { end }
-    }
-
     /// Gives a part of the file its blocks.
     fn allocate(&self, offset: usize, size: usize) -> bool {
         let Some(file) = &self.file else { return true };

@@ -1,7 +1,7 @@
 //! The thread that keeps what is resident below the bound.
 
-use super::linux::{BUDGET, HELD, Place, SPILLED, lock, open_file};
-use super::{ANONYMOUS_SHARE, Usage};
+use super::linux::{BUDGET, HELD, Place, SPILLED, file_range, lock, open_file};
+use super::{Usage, anonymous_share, high_share};
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
@@ -12,9 +12,8 @@ use std::time::Duration;
 
 /// How often the resident set is looked at. Two cores touch at most some tens of megabytes of new pages in this time.
 const INTERVAL: Duration = Duration::from_millis(2);
-/// Shares of the bound: from where on pages are let go; and down to where.
-const HIGH_SHARE: f64 = 0.88;
-const LOW_SHARE: f64 = 0.75;
+/// Pages are let go from [`high_share`] of the bound on down to so much below.
+const LET_GO_SHARE: f64 = 0.13;
 /// Share that pages of files have at least, and large blocks at least.
 const FILE_SHARE: f64 = 0.15;
 const LEAST_SHARE: f64 = 0.2;
@@ -67,7 +66,7 @@ impl Bound {
     pub fn new(bytes: u64, folder: &Path) -> io::Result<Bound> {
         open_file(folder)?;
         *FOLDER.lock().unwrap_or_else(PoisonError::into_inner) = Some(folder.to_owned());
-        BUDGET.store((bytes as f64 * ANONYMOUS_SHARE) as usize, Ordering::Relaxed);
+        BUDGET.store((bytes as f64 * anonymous_share(bytes)) as usize, Ordering::Relaxed);
         let ended = Arc::new(AtomicBool::new(false));
         let (flag, statm) = (ended.clone(), File::open("/proc/self/statm")?);
         let watch = move || {
@@ -106,7 +105,8 @@ fn resident(statm: &File) -> Option<(f64, f64)> {
 /// What large blocks may hold is less by what small ones have.
 fn set_budget(bound: f64, all: f64, of_files: f64) {
     let small = (all - of_files - HELD.load(Ordering::Relaxed) as f64).max(0.0);
-    let budget = (bound * (HIGH_SHARE - FILE_SHARE) - small).clamp(bound * LEAST_SHARE, bound * ANONYMOUS_SHARE);
+    let most = bound * anonymous_share(bound as u64);
+    let budget = (bound * (high_share(bound) - FILE_SHARE) - small).clamp(most.min(bound * LEAST_SHARE), most);
     BUDGET.store(budget as usize, Ordering::Relaxed);
 }
 
@@ -116,25 +116,32 @@ fn relieve(statm: &File, bound: f64, hand: &mut usize) {
     let above = |share: f64| resident(statm).is_some_and(|(all, _)| all > bound * share);
     let Some((all, of_files)) = resident(statm) else { return };
     set_budget(bound, all, of_files);
-    if all <= bound * HIGH_SHARE {
+    let high = high_share(bound);
+    if all <= bound * high {
         return;
     }
     if let Some(region) = &*lock(Place::Anonymous) {
         region.release_free();
     }
-    for _ in 0..=file_end() / STEP {
-        if !above(LOW_SHARE) {
+    let (base, length) = file_range();
+    for _ in 0..=length / STEP {
+        if !above(high - LET_GO_SHARE) {
             return;
         }
-        *hand = lock(Place::File).as_ref().map_or(0, |region| region.let_go(*hand, STEP));
+        let start = if *hand < length { *hand } else { 0 };
+        *hand = start + STEP;
+        let_go_file(base + start, STEP.min(length - start));
     }
     let all = WATCHED.lock().unwrap_or_else(PoisonError::into_inner);
     all.iter().for_each(|&(start, bytes)| let_go_map(start, bytes));
 }
 
-/// How much of the temporary file was ever used.
-fn file_end() -> usize {
-    lock(Place::File).as_ref().map_or(0, |region| region.end())
+/// Lets go of the pages of a part of the temporary file: they stay in the file, and come back when they are touched.
+#[allow(unsafe_code)]
+fn let_go_file(start: usize, bytes: usize) {
+    // SAFETY: the range is mapped until the process ends, and shared: what was written stays in the file, and readers and
+    // writers on other threads see the same bytes before and after.
+    let _ = unsafe { rustix::mm::madvise(start as *mut _, bytes, rustix::mm::Advice::LinuxDontNeed) };
 }
 
 #[allow(unsafe_code)]

@@ -28,6 +28,7 @@ use glam::Vec3;
 use patch::{Patch, PatchInput};
 use rayon::prelude::*;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A level is reached when the vertex count is within this factor of its target.
 const TARGET_TOLERANCE: f64 = 1.01;
@@ -57,6 +58,9 @@ const FREE_ERROR: f64 = 2e-2;
 const RANK_SAMPLES: usize = 1 << 16;
 /// A component vanishes when the cost limit reaches this share of its squared diameter.
 const VANISH_SHARE: f32 = 0.25;
+
+/// Share of the time that goes by before the first vertex collapses, for progress displays; the rest goes with those that do.
+const SET_UP_SHARE: f32 = 0.3;
 
 /// The mesh to simplify. Positions are grid points; the cost unit is the squared grid quantum.
 pub struct UnisonInput<'a> {
@@ -118,7 +122,13 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let members = Members::new(input);
     let forest = Forest::new(input.positions.len(), (levels - 1) as u8);
     let area = mean_area(input);
-    let patch = |c| Mutex::new(Patch::new(patch_input(input, &members, area, c as u32)));
+    let built = AtomicUsize::new(0);
+    let patch = |c| {
+        let patch = Patch::new(patch_input(input, &members, area, c as u32));
+        let share = (built.fetch_add(1, Ordering::Relaxed) + 1) as f32 / input.segmentation.len() as f32;
+        progress(share * SET_UP_SHARE);
+        Mutex::new(patch)
+    };
     let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len()).into_par_iter().map(patch).collect();
     let mut seams = color_seams(build_seams(input, &members));
     drop(members);
@@ -143,7 +153,9 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             let quota = if small { alive - target.round() as usize } else { usize::MAX };
             alive -= run_round(&patches, &mut seams, search.limit, target / alive as f64, quota);
             search.record(alive as f64);
-            progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
+            let all = 1.0 - ratio.powi(1 - levels as i32);
+            let dead = ((1.0 - alive as f64 / input.positions.len() as f64) / all).min(1.0) as f32;
+            progress(SET_UP_SHARE + dead * (1.0 - SET_UP_SHARE));
         }
         hand_over(&patches, &mut seams, &forest, level as u8);
         counts.push(alive);

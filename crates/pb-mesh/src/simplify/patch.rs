@@ -83,6 +83,8 @@ pub(super) struct Patch {
     pub(super) marks: Vec<u32>,
     pub(super) epoch: u32,
     pub(super) ring: Vec<u32>,
+    /// Vertices that get to know a new neighbour.
+    offered: Vec<u32>,
     pub(super) fan: Fan,
     candidates: Vec<Candidate>,
     /// Points left over from vanished components, to die one level later.
@@ -114,6 +116,7 @@ impl Patch {
             marks: vec![0; n],
             epoch: 0,
             ring: Vec::new(),
+            offered: Vec::new(),
             fan: Fan::default(),
             candidates: Vec::new(),
             points: Vec::new(),
@@ -410,15 +413,17 @@ impl Patch {
         for c in self.corners.around(u) {
             anew.extend([c.a, c.b].into_iter().filter(|&x| uncertain(x) && self.moves_alone(x)));
         }
-        for i in 0..self.fan.spokes.len() {
-            let Spoke { a, b, .. } = self.fan.spokes[i];
-            match self.input.charts {
-                _ if a == u || b == u => {}
-                None => self.offer(a, u),
-                // The cost of a texture's stretch needs the whole fan.
-                Some(_) => anew.extend(self.moves_alone(a).then_some(a)),
+        let mut offered = std::mem::take(&mut self.offered);
+        offered.clear();
+        offered.extend(self.fan.spokes.iter().filter(|s| s.a != u && s.b != u).map(|s| s.a));
+        for &x in &offered {
+            // The cost of a texture's stretch needs the whole fan.
+            if self.input.charts.is_some() && self.moves_alone(x) {
+                self.spread(x);
             }
+            self.offer(x, u);
         }
+        self.offered = offered;
         anew.sort_unstable();
         anew.dedup();
         anew.extend(self.moves_alone(u).then_some(u));

@@ -241,14 +241,18 @@ impl Tiles {
         UvInput { corners: &self.corners, position_of: &self.position_of, uv: &self.uv, tile_side: &self.side }
     }
 
+    /// Of all tiles at level 0.
+    pub fn texels(&self) -> u64 {
+        self.tiles.iter().map(|t| u64::from(t.size) * u64::from(t.size)).sum()
+    }
+
     /// Counts for reports.
     pub fn summary(&self) -> ChartSummary {
-        let mut sum = ChartSummary::default();
+        let mut sum = ChartSummary { texels: self.texels(), ..ChartSummary::default() };
         let mut covered = 0.0;
         for tile in &self.tiles {
             let texels = u64::from(tile.size) * u64::from(tile.size);
             sum.charts += u64::from(tile.charts);
-            sum.texels += texels;
             sum.reduced_clusters += u64::from(tile.reduced);
             covered += tile.fill * texels as f64;
             match &tile.origin {

@@ -91,6 +91,7 @@ pub(super) fn measure_levels(
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let components = &clusters.segmentation.components;
     let open = open_positions(triangles, clusters);
+    let work = Work::new(&collapses.counts);
     let mut ancestors = Ancestors::new(grid.points.len());
     let round_up = |x: f64| (x as f32).next_up();
     let mut surfaces = vec![LevelSurface {
@@ -135,9 +136,25 @@ pub(super) fn measure_levels(
         };
         let next = outside.kept("errors", level.into(), errors);
         list.push(next);
-        (outside.progress)(Stage::Measure, f32::from(level) / (levels - 1) as f32);
+        (outside.progress)(Stage::Measure, work.share(level.into()));
     }
     list
+}
+
+/// How much work levels are, for progress displays.
+struct Work(Vec<f64>);
+
+impl Work {
+    /// By the vertices of all levels: a look from each at what it is measured against, and back.
+    fn new(counts: &[usize]) -> Self {
+        let of = |level: usize| counts[level.saturating_sub(MEASURE_STEP)] as f64 + 2.0 * counts[level] as f64;
+        Work((1..counts.len()).map(of).collect())
+    }
+
+    /// Share of the levels up to this one.
+    fn share(&self, level: usize) -> f32 {
+        (self.0[..level].iter().sum::<f64>() / self.0.iter().sum::<f64>()) as f32
+    }
 }
 
 /// What slides on the surface is as wrong as what leaves it: errors become the larger of the two, never falling towards

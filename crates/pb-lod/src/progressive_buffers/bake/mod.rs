@@ -128,7 +128,10 @@ pub enum Stage {
     /// Vertex order, index buffers, packing.
     Pack,
     /// Texels resampled and packed; only with textures.
-    Textures,
+    Textures {
+        /// Of all tiles at level 0.
+        texels: u64,
+    },
 }
 
 /// Counts that the archive does not hold.
@@ -237,7 +240,7 @@ pub fn bake_textured(
     };
     let (mut model, order, acmr) = assemble(&finished, outside)?;
     if let (Some(input), Some(tiles)) = (textures, &tiles) {
-        progress(Stage::Textures, 0.0);
+        progress(Stage::Textures { texels: tiles.texels() }, 0.0);
         fill_tiles(&finished, input, tiles, &order, &mut model, outside)?;
     }
     let locked = clusters.kinds.iter().filter(|k| **k == Kind::Locked).count() as u64;

@@ -4,7 +4,7 @@ use super::assemble::Finished;
 use super::charting::Tiles;
 use super::lanes::run_bounded;
 use super::surface::Surface;
-use super::{Clusters, Outside, Stage, TextureInput, share_of};
+use super::{Clusters, Outside, Stage, TextureInput};
 use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
 use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
@@ -16,6 +16,7 @@ use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
     encode_shown, scratch_bytes,
 };
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Tiles at work hold at most so many bytes together, or one is at work alone.
 const TILE_WORK_BYTES: u64 = 640 << 20;
@@ -98,7 +99,7 @@ pub(super) fn fill_tiles(
     model: &mut BakedModel,
     outside: &Outside,
 ) -> Result<(), ArchiveError> {
-    let texels = tiles.tiles.iter().map(|t| u64::from(t.size) * u64::from(t.size)).sum();
+    let texels = tiles.texels();
     let maps = maps(input, finished.surface.has_colors, texels);
     let baker = TileBaker {
         surface: finished.surface,
@@ -112,10 +113,16 @@ pub(super) fn fill_tiles(
         levels: finished.levels as u32,
     };
     let bytes: Vec<u64> = order.iter().map(|&c| baker.work_bytes(tiles.tiles[c as usize].size)).collect();
-    let progress = |x| (outside.progress)(Stage::Textures, x);
-    let share = share_of(order.len(), &progress);
-    let tile = |new: usize| outside.try_kept("texels", new as u32, || baker.bake(order[new] as usize, outside.spill));
-    let baked = run_bounded(&bytes, TILE_WORK_BYTES, |new| share(tile(new)));
+    let progress = |x| (outside.progress)(Stage::Textures { texels }, x);
+    let done = AtomicU64::new(0);
+    let tile = |new: usize| {
+        let c = order[new] as usize;
+        let baked = outside.try_kept("texels", new as u32, || baker.bake(c, outside.spill));
+        let own = u64::from(tiles.tiles[c].size).pow(2);
+        progress((done.fetch_add(own, Ordering::Relaxed) + own) as f32 / texels as f32);
+        baked
+    };
+    let baked = run_bounded(&bytes, TILE_WORK_BYTES, tile);
     for (tile, chunks) in baked? {
         model.tiles.push(tile);
         model.chunks.extend(chunks);
