@@ -7,6 +7,7 @@
 //! Must never: panic on any file; change one.
 
 use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
+use super::instances::{INSTANCES, InstanceRecord, Instances, OBJECTS, ObjectRecord};
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, Textures, TileRecord};
 use super::{model_check, write::KNOWN_FEATURES};
@@ -23,6 +24,8 @@ pub const FLAG_COLORS: u32 = 1;
 pub const FLAG_TEXTURES: u32 = 2;
 /// Bit 2: base colours with an alpha below one half are holes.
 pub const FLAG_CUTOUT: u32 = 4;
+/// Bit 3: there are objects and instances.
+pub const FLAG_INSTANCES: u32 = 8;
 
 /// Why an archive is no sound model.
 #[derive(Debug, thiserror::Error)]
@@ -107,6 +110,7 @@ pub struct Model {
     nodes: Table<NodeRecord>,
     model_levels: Table<ModelLevelRecord>,
     textures: Option<(Table<MapRecord>, Table<TileRecord>)>,
+    instances: Option<(Table<ObjectRecord>, Table<InstanceRecord>)>,
 }
 
 impl Model {
@@ -142,6 +146,10 @@ impl Model {
             textures: match record.flags & FLAG_TEXTURES {
                 0 => None,
                 _ => Some((archive.table(MAPS)?, archive.table(TILES)?)),
+            },
+            instances: match record.flags & FLAG_INSTANCES {
+                0 => None,
+                _ => Some((archive.table(OBJECTS)?, archive.table(INSTANCES)?)),
             },
             archive,
         };
@@ -182,6 +190,20 @@ impl Model {
     /// True when base colours with an alpha below one half are holes.
     pub fn has_cutouts(&self) -> bool {
         self.record.flags & FLAG_CUTOUT != 0
+    }
+
+    /// Objects and instances, where there are any; else all clusters stand where they are, once.
+    pub fn instances(&self) -> Option<Instances<'_>> {
+        let (objects, instances) = self.instances.as_ref()?;
+        Some(Instances { objects: self.rows(objects), instances: self.rows(instances) })
+    }
+
+    /// Smallest and largest world coordinates; where there are instances, of the spheres around them.
+    pub fn world_bounds(&self) -> [DVec3; 2] {
+        match self.instances() {
+            Some(instances) => instances.world_bounds(&self.record, self.nodes()),
+            None => [self.world(self.record.bounds_min), self.world(self.record.bounds_max)],
+        }
     }
 
     fn rows<T: Pod>(&self, table: &Table<T>) -> &[T] {

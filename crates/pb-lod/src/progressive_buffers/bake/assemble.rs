@@ -7,7 +7,7 @@ use super::levels::LevelErrors;
 use super::{Clusters, for_clusters};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
-use crate::progressive_buffers::model::FLAG_COLORS;
+use crate::progressive_buffers::model::{FLAG_COLORS, FLAG_INSTANCES};
 use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
 use pb_mesh::mesh::Mesh;
@@ -39,7 +39,7 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
         .map(|c| Bounds::of(clusters.segmentation.cluster(c).iter().flat_map(|&t| triangles[t as usize]), &grid.points))
         .collect();
     let spheres: Vec<(DVec3, f64)> = bounds.iter().map(|b| (b.center.as_dvec3(), b.radius as f64)).collect();
-    let mut hierarchy = hierarchy::build(&spheres);
+    let mut hierarchy = hierarchy::build_groups(&spheres, &clusters.objects.counts);
     let mut new_of = vec![0u32; count];
     hierarchy.order.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = new as u32);
     let (neighbours, firsts) = neighbour_lists(clusters, &new_of);
@@ -90,11 +90,17 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
             reserved: [0; 2],
         }
     };
+    let (objects, instances) = clusters.objects.tables(&hierarchy, grid.origin, grid.quantum);
     let (model_levels, acmr) = model_levels(&level_records, errors, levels);
     let model = BakedModel {
         maps: Vec::new(),
         tiles: Vec::new(),
-        record: model_record(mesh, triangles_in, grid, &bounds, levels),
+        record: ModelRecord {
+            flags: if mesh.has_colors { FLAG_COLORS } else { 0 } | if objects.is_empty() { 0 } else { FLAG_INSTANCES },
+            ..model_record(triangles_in, grid, &bounds, levels)
+        },
+        objects,
+        instances,
         clusters: (0..count).map(record).collect(),
         levels: level_records,
         neighbours,
@@ -167,7 +173,8 @@ fn model_levels(records: &[LevelRecord], errors: &[LevelErrors], levels: usize) 
     (list, acmr)
 }
 
-fn model_record(mesh: &Mesh, triangles_in: u64, grid: &Grid, bounds: &[Bounds], levels: usize) -> ModelRecord {
+/// But for the flags.
+fn model_record(triangles_in: u64, grid: &Grid, bounds: &[Bounds], levels: usize) -> ModelRecord {
     let (low, high) =
         bounds.iter().fold((glam::IVec3::MAX, glam::IVec3::MIN), |(lo, hi), b| (lo.min(b.low), hi.max(b.high)));
     ModelRecord {
@@ -178,7 +185,7 @@ fn model_record(mesh: &Mesh, triangles_in: u64, grid: &Grid, bounds: &[Bounds], 
         levels: levels as u32,
         clusters: bounds.len() as u32,
         triangles_in,
-        flags: if mesh.has_colors { FLAG_COLORS } else { 0 },
+        flags: 0,
         reserved: [0; 5],
     }
 }

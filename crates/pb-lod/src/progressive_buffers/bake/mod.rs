@@ -13,6 +13,7 @@ mod charting;
 mod grid;
 mod lanes;
 mod levels;
+mod objects;
 mod tiles;
 
 pub use charting::{ChartMode, ChartOptions, ChartSummary, Charter, DEFAULT_TILE_SIZE};
@@ -26,11 +27,12 @@ use charting::{ChartInput, Tiles, make_tiles, sizing};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
+use objects::ObjectClusters;
 use pb_archive::{ArchiveError, Spill};
 use pb_mesh::deviation::texture_deviation;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Mesh;
-use pb_mesh::segment::{Segmentation, segment};
+use pb_mesh::segment::{Segmentation, segment_objects};
 use pb_mesh::simplify::{UnisonInput, simplify};
 use pb_mesh::texture::NormalSpace;
 use pb_mesh::texture::image::Image;
@@ -268,6 +270,7 @@ fn normals(mesh: &Mesh) -> Vec<Vec3> {
 /// The mesh cut into clusters, on the grid.
 struct Clusters {
     segmentation: Segmentation,
+    objects: ObjectClusters,
     cluster_of: Vec<u32>,
     fans: Fans,
     kinds: Vec<Kind>,
@@ -277,7 +280,9 @@ struct Clusters {
 
 impl Clusters {
     fn new(mesh: &Mesh, triangles: &[[u32; 3]], max_triangles: usize) -> Self {
-        let segmentation = segment(&mesh.positions, triangles, &mesh.triangles, max_triangles);
+        let (objects, corners) = (&mesh.objects, &mesh.triangles);
+        let segmentation = segment_objects(&mesh.positions, &objects.of, triangles, corners, max_triangles);
+        let objects = ObjectClusters::new(objects, triangles, &segmentation);
         let mut cluster_of = vec![0; triangles.len()];
         for c in 0..segmentation.len() {
             for &t in segmentation.cluster(c) {
@@ -288,7 +293,7 @@ impl Clusters {
         let (mut kinds, broken) = classify(triangles, &cluster_of, &fans, mesh.positions.len());
         lock_excess_neighbours(&mut kinds, &cluster_of, &fans, segmentation.len());
         let grid = grid::snap(&mesh.positions, triangles, &segmentation, &cluster_of, &fans);
-        Clusters { segmentation, cluster_of, fans, kinds, broken, grid }
+        Clusters { segmentation, objects, cluster_of, fans, kinds, broken, grid }
     }
 
     fn unison<'a>(
