@@ -105,7 +105,9 @@ mod tests {
     #[test]
     fn what_mirrors_stretches_shears_or_flattens_is_no_placement() {
         let scaled = |x, y, z| DMat4::from_scale(DVec3::new(x, y, z));
-        for matrix in [scaled(-1.0, 1.0, 1.0), scaled(1.0, 1.0, 1.001), scaled(1.0, 0.0, 1.0), scaled(f64::NAN, 1.0, 1.0)] {
+        for matrix in
+            [scaled(-1.0, 1.0, 1.0), scaled(1.0, 1.0, 1.001), scaled(1.0, 0.0, 1.0), scaled(f64::NAN, 1.0, 1.0)]
+        {
             assert_eq!(Placement::of_matrix(matrix), None, "{matrix}");
         }
         let mut sheared = DMat4::IDENTITY;

@@ -30,8 +30,10 @@ pub fn weld_exact(positions: &[[f64; 3]], object_of: &[u32]) -> Vec<u32> {
         .enumerate()
         .map(|(chunk, part)| Partition::new(part, chunk * CHUNK, shard_count))
         .collect();
-    let repeats: Vec<Vec<(u32, u32)>> =
-        (0..shard_count).into_par_iter().map(|shard| repeats_of_shard((positions, object_of), &chunks, shard)).collect();
+    let repeats: Vec<Vec<(u32, u32)>> = (0..shard_count)
+        .into_par_iter()
+        .map(|shard| repeats_of_shard((positions, object_of), &chunks, shard))
+        .collect();
     let mut first: Vec<u32> = (0..positions.len() as u32).collect();
     for (record, earlier) in repeats.into_iter().flatten() {
         first[record as usize] = earlier;
@@ -111,7 +113,11 @@ impl Partition {
 }
 
 /// (record, lowest record with the same position) for all but the first of each group.
-fn repeats_of_shard((positions, object_of): (&[[f64; 3]], &[u32]), chunks: &[Partition], shard: usize) -> Vec<(u32, u32)> {
+fn repeats_of_shard(
+    (positions, object_of): (&[[f64; 3]], &[u32]),
+    chunks: &[Partition],
+    shard: usize,
+) -> Vec<(u32, u32)> {
     let count: usize = chunks.iter().map(|c| c.shard(shard).len()).sum();
     let mask = (2 * count).next_power_of_two() - 1;
     let mut table = vec![(0u32, EMPTY); mask + 1];

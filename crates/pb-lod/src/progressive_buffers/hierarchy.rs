@@ -63,7 +63,7 @@ pub fn build_groups(spheres: &[(DVec3, f64)], groups: &[usize]) -> Hierarchy {
     let mut children = Vec::with_capacity(spheres.len() - 1);
     let mut add = |pairs: Vec<(u32, u32)>, leaves: &[u32]| {
         let base = (spheres.len() + children.len()) as u32;
-        let global = |id: u32| leaves.get(id as usize).copied().unwrap_or(id.wrapping_sub(leaves.len() as u32) + base);
+        let global = |id: u32| leaves.get(id as usize).copied().unwrap_or_else(|| id - leaves.len() as u32 + base);
         children.extend(pairs.iter().map(|&(a, b)| (global(a), global(b))));
         global((leaves.len() + pairs.len()) as u32 - 1)
     };
@@ -402,7 +402,9 @@ mod tests {
             assert_eq!(nodes.iter().filter(is_own).count(), 1, "{group:?}");
         }
         for n in nodes.iter().filter(|n| n.cluster_count > 1) {
-            let inside = |i: u32| sphere(&nodes[i as usize]).0.distance(sphere(n).0) + sphere(&nodes[i as usize]).1 <= sphere(n).1;
+            let inside = |i: u32| {
+                sphere(&nodes[i as usize]).0.distance(sphere(n).0) + sphere(&nodes[i as usize]).1 <= sphere(n).1
+            };
             assert!(inside(n.left) && inside(n.right));
         }
         assert_eq!(build(&spheres).order, build_groups(&spheres, &[90]).order);

@@ -154,7 +154,8 @@ impl<'a> Instances<'a> {
             );
             return Some(("the objects".into(), why));
         }
-        let fault = |(i, record): (usize, &InstanceRecord)| Some((format!("instance {i}"), record.fault()?.to_string()));
+        let fault =
+            |(i, record): (usize, &InstanceRecord)| Some((format!("instance {i}"), record.fault()?.to_string()));
         self.instances.iter().enumerate().find_map(fault)
     }
 

@@ -7,7 +7,7 @@
 //! Must never: panic on any file; change one.
 
 use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
-use super::instances::{INSTANCES, InstanceRecord, Instances, OBJECTS, ObjectRecord};
+use super::instances::{INSTANCES, InstanceRecord, Instances, OBJECTS, ObjectRecord, Placement};
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, Textures, TileRecord};
 use super::{model_check, write::KNOWN_FEATURES};
@@ -16,6 +16,7 @@ use bytemuck::Pod;
 use glam::DVec3;
 use pb_archive::{Archive, ArchiveError, Fault, Table};
 use std::borrow::Cow;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Bit 0 of [`ModelRecord::flags`]: vertices carry colours.
@@ -98,6 +99,15 @@ pub struct Prefix {
     pub vertices: Vec<Vertex>,
     /// Index buffer of the level.
     pub indices: Vec<u16>,
+}
+
+/// Clusters that stand together, in one place or in several.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Placed {
+    /// One object's.
+    pub clusters: Range<u32>,
+    /// Counted from the model's origin.
+    pub placements: Vec<Placement>,
 }
 
 /// An open, checked model.
@@ -397,6 +407,28 @@ impl Model {
     pub fn grid(&self, cluster: u32, v: &Vertex) -> [i32; 3] {
         let record = &self.clusters()[cluster as usize];
         std::array::from_fn(|k| record.origin[k].wrapping_add((v.offset[k] as i32) << record.shift))
+    }
+
+    /// All clusters, in runs that stand together.
+    pub fn placed(&self) -> Vec<Placed> {
+        let placements = |records: &[InstanceRecord]| records.iter().map(InstanceRecord::placement).collect();
+        match self.instances() {
+            None => vec![Placed { clusters: 0..self.record.clusters, placements: vec![Placement::IDENTITY] }],
+            Some(all) => {
+                let clusters = |o: &ObjectRecord| o.first_cluster..o.first_cluster + o.cluster_count;
+                let placed = |o| Placed { clusters: clusters(o), placements: placements(all.of(o)) };
+                all.objects.iter().map(placed).collect()
+            }
+        }
+    }
+
+    /// World position (input units) of a grid point of an instance.
+    pub fn world_of(&self, grid: [i32; 3], placement: &Placement) -> DVec3 {
+        let origin = DVec3::from(self.record.origin);
+        match *placement == Placement::IDENTITY {
+            true => self.world(grid),
+            false => origin + placement.point(DVec3::from(grid.map(f64::from)) * self.record.quantum),
+        }
     }
 
     /// World position (input units) of a grid point.

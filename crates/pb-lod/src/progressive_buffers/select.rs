@@ -28,9 +28,9 @@ use self::tables::{Ladder, Tables};
 use self::walk::{Eyes, Place, Scope, Seen, Walk};
 use self::wants::Wants;
 use super::display::LodTable;
+use super::instances::Placement;
 use super::model::Model;
 use super::switch::Switch;
-use super::instances::Placement;
 use crate::plan::{ChunkId, Class, CoarseDraw, Detail, Draw, Frame, Plan, View, Want};
 
 /// A cluster this much nearer (distance ratio) would need its next level: load that about now.

@@ -27,7 +27,7 @@ fn torus_flight(path: &Path) {
 /// Around a model outside its sphere, in steps that differ in distance: 25 frames.
 fn orbit(archive: &Path, path: &Path) {
     let model = Model::open(archive).unwrap();
-    let subject = subject(model.record(), glam::DVec3::Y);
+    let subject = subject(&model, glam::DVec3::Y);
     let key = |i: u32| {
         let (sin, cos) = (i as f64 * 0.8).sin_cos();
         let distance = subject.radius * if i.is_multiple_of(2) { 1.3 } else { 3.0 };

@@ -89,7 +89,8 @@ fn along_curve(placements: Vec<Placement>, center: DVec3) -> Vec<Placement> {
     let steps = f64::from((1u32 << CURVE_BITS) - 1) / (high - low).max_element().max(f64::MIN_POSITIVE);
     let code = |p: &Placement| {
         let cell = ((at(p) - low) * steps).to_array().map(|x| x as u64);
-        (0..CURVE_BITS).fold(0u64, |code, bit| code | (0..3).fold(0, |c, k| c | (cell[k] >> bit & 1) << (3 * bit + k as u32)))
+        (0..CURVE_BITS)
+            .fold(0u64, |code, bit| code | (0..3).fold(0, |c, k| c | (cell[k] >> bit & 1) << (3 * bit + k as u32)))
     };
     let mut coded: Vec<(u64, Placement)> = placements.iter().map(|p| (code(p), *p)).collect();
     coded.sort_by_key(|c| c.0);
