@@ -35,7 +35,7 @@ pub struct InstanceCounts {
     pub objects: u64,
     /// Their places.
     pub instances: u64,
-    /// Places of repeated meshes that are mirrored or stretched like too few others, and written out.
+    /// Places of repeated meshes that are mirrored or stretched like no other, or flattened, and written out.
     pub apart: u64,
 }
 

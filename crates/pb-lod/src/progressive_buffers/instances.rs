@@ -7,7 +7,7 @@
 //!
 //! An archive without these tables has one object with one instance, which stands where its clusters are.
 
-use super::layout::{ModelRecord, NodeRecord};
+use super::layout::{ClusterRecord, ModelRecord, NodeRecord};
 use bytemuck::{Pod, Zeroable};
 use glam::{DQuat, DVec3};
 pub use pb_mesh::objects::Placement;
@@ -106,16 +106,19 @@ impl<'a> Instances<'a> {
         &self.instances[object.first_instance as usize..][..object.instance_count as usize]
     }
 
-    /// Smallest and largest world coordinates of the spheres of all objects at all their places.
-    pub fn world_bounds(&self, model: &ModelRecord, nodes: &[NodeRecord]) -> [DVec3; 2] {
+    /// Smallest and largest world coordinates of boxes around all objects at all their places.
+    pub fn world_bounds(&self, model: &ModelRecord, clusters: &[ClusterRecord]) -> [DVec3; 2] {
         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
         for object in self.objects {
-            let node = &nodes[object.node as usize];
-            let center = DVec3::from_array(node.center.map(f64::from)) * model.quantum;
+            let own = &clusters[object.first_cluster as usize..][..object.cluster_count as usize];
+            let corners = box_of(model, own);
             for instance in self.of(object) {
-                let at = instance.placement().point(center) + DVec3::from(model.origin);
-                let radius = f64::from(node.radius) * model.quantum * instance.scale;
-                bounds = [bounds[0].min(at - radius), bounds[1].max(at + radius)];
+                let placement = instance.placement();
+                for corner in 0..8 {
+                    let pick = |k: usize| corners[corner >> k & 1][k];
+                    let at = placement.point(DVec3::new(pick(0), pick(1), pick(2))) + DVec3::from(model.origin);
+                    bounds = [bounds[0].min(at), bounds[1].max(at)];
+                }
             }
         }
         bounds
@@ -163,4 +166,14 @@ impl<'a> Instances<'a> {
     pub fn object_of(&self, cluster: u32) -> usize {
         self.objects.partition_point(|o| o.first_cluster <= cluster) - 1
     }
+}
+
+/// Smallest and largest coordinates of some clusters, counted from the model's origin, input units: of their spheres, as far
+/// as they are inside the model.
+fn box_of(model: &ModelRecord, clusters: &[ClusterRecord]) -> [DVec3; 2] {
+    let grid = |g: [i32; 3]| DVec3::from(g.map(f64::from));
+    let radius = |c: &ClusterRecord| DVec3::splat(c.radius.into());
+    let low = clusters.iter().map(|c| grid(c.center) - radius(c)).fold(DVec3::INFINITY, DVec3::min);
+    let high = clusters.iter().map(|c| grid(c.center) + radius(c)).fold(DVec3::NEG_INFINITY, DVec3::max);
+    [low.max(grid(model.bounds_min)) * model.quantum, high.min(grid(model.bounds_max)) * model.quantum]
 }

@@ -208,10 +208,10 @@ impl Model {
         Some(Instances { objects: self.rows(objects), instances: self.rows(instances) })
     }
 
-    /// Smallest and largest world coordinates; where there are instances, of the spheres around them.
+    /// Smallest and largest world coordinates; where there are instances, of boxes around them.
     pub fn world_bounds(&self) -> [DVec3; 2] {
         match self.instances() {
-            Some(instances) => instances.world_bounds(&self.record, self.nodes()),
+            Some(instances) => instances.world_bounds(&self.record, self.clusters()),
             None => [self.world(self.record.bounds_min), self.world(self.record.bounds_max)],
         }
     }

@@ -181,10 +181,9 @@ fn instances_come_back_as_they_were_written_and_an_older_reader_refuses_them_by_
     let instances = found.instances().unwrap();
     assert_eq!((instances.objects, instances.instances), (&*model.objects, &*model.instances));
     let [low, high] = found.world_bounds();
-    let node = &found.nodes()[0];
-    let (center, radius) = (glam::DVec3::from(node.center.map(f64::from)) / 1024.0, f64::from(node.radius) / 1024.0);
-    assert!(low.distance(center - radius) < 1e-9, "{low}");
-    assert!((high.x - (64.0 + 0.5 * (center.x + radius))).abs() < 1e-9, "{high}");
+    let of_one = found.record().bounds_max.map(|x| f64::from(x) / 1024.0);
+    assert!(low.distance(found.world(found.record().bounds_min)) < 1e-9, "{low}");
+    assert!((high.x - (64.0 + 0.5 * of_one[0])).abs() < 1e-9 && high.y == of_one[1], "{high}");
     let older = (1 << 0) | (1 << 1);
     let refused = pb_archive::Archive::from_bytes(Path::new("torus.pb"), &archive(&model), older);
     let text = refused.err().expect("bit 2 is not known").to_string();

@@ -1,7 +1,7 @@
 //! Meshes that are placed more than once become objects: their geometry is read once and keeps a list of places.
 //!
 //! Places of one object differ by turns, moves and one scale for all directions. Where a mesh is also mirrored or stretched,
-//! those places make objects of their own, up to [`MAX_SHAPES`] per mesh; what is left is written out as geometry.
+//! all places that are so in the same way make an object of their own; a way that occurs once is written out as geometry.
 
 use super::super::Warnings;
 use super::super::textures::InstanceCounts;
@@ -10,8 +10,8 @@ use glam::{DMat3, DMat4, DQuat, DVec3};
 use pb_lod::progressive_buffers::instances::{MIN_SCALE, Placement};
 use std::collections::BTreeMap;
 
-/// Most objects that one mesh becomes.
-const MAX_SHAPES: usize = 16;
+/// Steps in which stretches are told apart before they are compared closely.
+const STRETCH_STEPS: f64 = 1e4;
 
 /// What is placed, in the order in which it is written.
 #[derive(Default)]
@@ -42,10 +42,6 @@ struct Member {
 }
 
 impl ObjectPlan {
-    pub(super) fn len(&self) -> usize {
-        self.members.len()
-    }
-
     /// The places of what is written at the base; exact at a point of the mesh, which should be in its middle.
     pub(super) fn placements(&self, middle: DVec3) -> Vec<Placement> {
         let from = self.base.transform_point3(middle);
@@ -64,19 +60,19 @@ impl Layout {
         let mut uses: BTreeMap<usize, usize> = BTreeMap::new();
         placed.iter().for_each(|at| *uses.entry(at.mesh).or_default() += 1);
         let mut layout = Layout::default();
-        let mut shapes: BTreeMap<usize, Vec<ObjectPlan>> = BTreeMap::new();
+        let mut shapes: BTreeMap<(usize, Stretch), ObjectPlan> = BTreeMap::new();
         for at in placed {
-            let has_size = DMat3::from_mat4(at.world) != DMat3::ZERO;
-            match uses[&at.mesh] {
-                1 => layout.single.push(at),
-                _ if !has_size => layout.empty += 1,
-                _ => layout.add(at, &mut shapes),
+            match (uses[&at.mesh], Stretch::of(&at.world)) {
+                (1, _) => layout.single.push(at),
+                (_, None) if DMat3::from_mat4(at.world) == DMat3::ZERO => layout.empty += 1,
+                (_, None) => layout.write_out(at),
+                (_, Some(stretch)) => layout.add(at, stretch, &mut shapes),
             }
         }
-        for shape in shapes.into_values().flatten() {
+        for shape in shapes.into_values() {
             let shape = layout.on_its_largest(shape);
-            match shape.len() {
-                1 => layout.single.push(Placed { mesh: shape.mesh, world: shape.base }),
+            match shape.members.len() {
+                1 => layout.write_out(Placed { mesh: shape.mesh, world: shape.base }),
                 _ => layout.objects.push(shape),
             }
         }
@@ -95,23 +91,23 @@ impl Layout {
         }
     }
 
-    /// Adds a place to the first shape of its mesh that it is one of.
-    fn add(&mut self, at: Placed, shapes: &mut BTreeMap<usize, Vec<ObjectPlan>>) {
-        let shapes = shapes.entry(at.mesh).or_default();
-        for shape in shapes.iter_mut() {
-            if let Some(Placement { rotation, scale, .. }) = Placement::of_matrix(at.world * shape.base.inverse()) {
-                shape.members.push(Member { world: at.world, rotation, scale });
-                return;
-            }
-        }
-        let invertible = DMat3::from_mat4(at.world).inverse().is_finite();
-        if invertible && shapes.len() < MAX_SHAPES {
+    /// Adds a place to the shape that is stretched like it.
+    fn add(&mut self, at: Placed, stretch: Stretch, shapes: &mut BTreeMap<(usize, Stretch), ObjectPlan>) {
+        let Some(shape) = shapes.get_mut(&(at.mesh, stretch)) else {
             let itself = Member { world: at.world, rotation: DQuat::IDENTITY, scale: 1.0 };
-            shapes.push(ObjectPlan { mesh: at.mesh, base: at.world, members: vec![itself] });
-        } else {
-            self.apart += 1;
-            self.single.push(at);
+            let shape = ObjectPlan { mesh: at.mesh, base: at.world, members: vec![itself] };
+            shapes.insert((at.mesh, stretch), shape);
+            return;
+        };
+        match Placement::of_matrix(at.world * shape.base.inverse()) {
+            Some(Placement { rotation, scale, .. }) => shape.members.push(Member { world: at.world, rotation, scale }),
+            None => self.write_out(at),
         }
+    }
+
+    fn write_out(&mut self, at: Placed) {
+        self.apart += 1;
+        self.single.push(at);
     }
 
     /// The shape with its largest place as its base; places that are too small beside that are written out.
@@ -133,8 +129,29 @@ impl Layout {
         shape.base = world;
         let (members, small): (Vec<Member>, Vec<Member>) =
             shape.members.into_iter().partition(|m| m.scale >= MIN_SCALE);
-        self.apart += small.len();
-        self.single.extend(small.into_iter().map(|m| Placed { mesh: shape.mesh, world: m.world }));
+        small.into_iter().for_each(|m| self.write_out(Placed { mesh: shape.mesh, world: m.world }));
         ObjectPlan { members, ..shape }
+    }
+}
+
+/// How a matrix stretches, shears and mirrors, whatever its turn and its size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Stretch {
+    mirrored: bool,
+    /// Products of the axes, over the size squared, in steps.
+    products: [i64; 6],
+}
+
+impl Stretch {
+    /// None where it flattens.
+    fn of(matrix: &DMat4) -> Option<Stretch> {
+        let linear = DMat3::from_mat4(*matrix);
+        let size = linear.determinant().abs().cbrt();
+        let (x, y, z) = (linear.x_axis / size, linear.y_axis / size, linear.z_axis / size);
+        let products = [x.dot(x), y.dot(y), z.dot(z), x.dot(y), y.dot(z), z.dot(x)];
+        // A product of 1e6 is a stretch by a thousand in one direction.
+        let usable = size > 0.0 && products.iter().all(|p| p.abs() < 1e6);
+        let step = |p: f64| (p * STRETCH_STEPS).round() as i64;
+        usable.then(|| Stretch { mirrored: linear.determinant() < 0.0, products: products.map(step) })
     }
 }
