@@ -12,6 +12,10 @@ use tempfile::NamedTempFile;
 /// Bytes gathered before the system is called.
 const BUFFER_BYTES: usize = 1 << 20;
 
+/// Names of unfinished files.
+const PREFIX: &str = ".pb-bake-";
+const SUFFIX: &str = ".tmp";
+
 /// What a writer needs from a file system.
 ///
 /// Nothing is seen under the target's name before [`publish`](Storage::publish) returns, and dropping an
@@ -57,8 +61,9 @@ impl FileStorage {
             Some(p) if !p.as_os_str().is_empty() => p.to_owned(),
             _ => PathBuf::from("."),
         };
+        remove_abandoned(&folder);
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".pb-bake-").suffix(".tmp");
+        builder.prefix(PREFIX).suffix(SUFFIX);
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
@@ -70,11 +75,31 @@ impl FileStorage {
                 _ => Fault::Io { doing: "write in its folder", source },
             })
         })?;
+        // Held until the file is closed: who can lock such a file knows that nobody writes it any more.
+        let _ = file.as_file().try_lock();
         Ok(Self { file: Some(BufWriter::with_capacity(BUFFER_BYTES, file)), target, folder })
+    }
+
+    /// The file that is written until it gets its name.
+    pub fn temporary(&self) -> Option<&Path> {
+        self.file.as_ref().map(|f| f.get_ref().path())
     }
 
     fn open_file(&mut self) -> &mut BufWriter<NamedTempFile> {
         self.file.as_mut().expect("a writer publishes once, as its last step on the file")
+    }
+}
+
+/// Removes the unfinished files of writers that were killed.
+fn remove_abandoned(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let is_ours = name.to_str().is_some_and(|n| n.starts_with(PREFIX) && n.ends_with(SUFFIX));
+        if is_ours && File::open(entry.path()).is_ok_and(|file| file.try_lock().is_ok()) {
+            // Whoever cannot remove it leaves it.
+            let _ = std::fs::remove_file(entry.path());
+        }
     }
 }
 

@@ -35,6 +35,11 @@ impl Writer<FileStorage> {
     pub fn create(target: &Path, scheme: [u8; 4], overwrite: Overwrite) -> Result<Self, ArchiveError> {
         Self::with_storage(FileStorage::create(target, overwrite)?, target, scheme)
     }
+
+    /// The file that is written until it gets its name.
+    pub fn temporary(&self) -> Option<&Path> {
+        self.storage.temporary()
+    }
 }
 
 impl<S: Storage> Writer<S> {

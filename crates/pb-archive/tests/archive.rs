@@ -337,3 +337,16 @@ fn a_fault_at_any_operation_leaves_the_old_file_or_the_whole_new_one() {
         fail_at += 1;
     }
 }
+
+#[test]
+fn what_killed_writers_left_is_removed_and_what_others_are_writing_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join(".pb-bake-killed.tmp"), b"half").unwrap();
+    let first = Writer::create(&target(&folder), SCHEME, Overwrite::IfArchive).unwrap();
+    assert_eq!(files_in(&folder), 1, "only the first writer's");
+    let second = Writer::create(&folder.path().join("other.pb"), SCHEME, Overwrite::IfArchive).unwrap();
+    assert_ne!(first.temporary(), second.temporary());
+    fill(first).unwrap();
+    fill(second).unwrap();
+    assert_eq!(files_in(&folder), 2, "both archives");
+}

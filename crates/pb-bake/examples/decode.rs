@@ -1,6 +1,7 @@
 //! Decodes images as a bake does and says what that holds in memory: `cargo run --release --example decode -- FILE...`
 
-use pb_bake::images::{DecodeOptions, ImageContent, ImageSource, Memory, decode_all};
+use pb_bake::images::{DecodeOptions, ImageContent, ImageSource, decode_all};
+use pb_bake::memory::Memory;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 

@@ -104,7 +104,10 @@ pub struct BakeArgs {
     /// Seconds that the xatlas helper may take for one cluster
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     pub xatlas_time_limit: f64,
-    /// Folder for temporary files, which images and texture chunks need; that of the archive unless given
+    /// Most memory to use, for example 4GiB; half of the machine's unless given. What does not fit lies in temporary files
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    pub memory: Option<u64>,
+    /// Folder for temporary files: images, texture chunks, what exceeds --memory; that of the archive unless given
     #[arg(long, value_name = "DIR")]
     pub temp_dir: Option<PathBuf>,
     /// Replace an existing file even if it is not an archive
@@ -184,11 +187,20 @@ impl BakeArgs {
         ImportOptions { texture: self.texture.clone(), instancing, ..ImportOptions::default() }
     }
 
+    /// Where temporary files lie.
+    pub fn temp_folder(&self) -> &Path {
+        let beside = self.output.as_deref().and_then(Path::parent).filter(|p| !p.as_os_str().is_empty());
+        self.temp_dir.as_deref().or(beside).unwrap_or(Path::new("."))
+    }
+
     /// For [`pb_bake::images::decode_all`].
     pub fn decode_options(&self) -> DecodeOptions {
-        let beside = self.output.as_deref().and_then(Path::parent).filter(|p| !p.as_os_str().is_empty());
-        let temp_dir = self.temp_dir.as_deref().or(beside).unwrap_or(Path::new("."));
-        DecodeOptions { temp_dir: temp_dir.to_owned(), ..DecodeOptions::default() }
+        DecodeOptions { temp_dir: self.temp_folder().to_owned(), ..DecodeOptions::default() }
+    }
+
+    /// Most bytes of memory to use; `None` where the machine does not tell how many it has.
+    pub fn memory_bytes(&self) -> Option<u64> {
+        self.memory.or_else(|| pb_bake::memory::of_machine().map(|(total, _)| total / 2))
     }
 
     /// For [`pb_lod::progressive_buffers::bake::bake`].
@@ -266,6 +278,14 @@ fn cluster_triangles(text: &str) -> Result<usize, String> {
 fn tile_size(text: &str) -> Result<u32, String> {
     let size = number(text, 32.0, 4096.0)? as u32;
     if size.is_power_of_two() { Ok(size) } else { Err("it must be a power of two".into()) }
+}
+
+/// Least bound on memory: what the program, its threads and one cluster's work take.
+const LEAST_MEMORY: u64 = 256 << 20;
+
+fn memory(text: &str) -> Result<u64, String> {
+    let bytes = text.parse::<bytesize::ByteSize>().map_err(|_| "write a size, for example 4GiB or 512MiB")?.as_u64();
+    if bytes >= LEAST_MEMORY { Ok(bytes) } else { Err(format!("it must be at least {}MiB", LEAST_MEMORY >> 20)) }
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -3,6 +3,7 @@
 use crate::cli::DoctorArgs;
 use crate::failure::{Failure, blame_machine};
 use crate::report::{print_json, print_text};
+use pb_bake::memory::{free_bytes, of_machine};
 use pb_bake::xatlas::{Found, Helper, HelperFault, wire};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -62,7 +63,7 @@ pub fn doctor(args: &DoctorArgs) -> Result<(), Failure> {
     let findings = Findings {
         version: env!("CARGO_PKG_VERSION"),
         threads: rayon::current_num_threads(),
-        memory: memory(),
+        memory: of_machine().map(|(total_bytes, available_bytes)| Memory { total_bytes, available_bytes }),
         temp_dir: temp_dir(),
         xatlas,
         mesh_formats: MESH_FORMATS.to_vec(),
@@ -120,38 +121,10 @@ fn advice() -> String {
     format!("to build it, in the source of pb-bake: tools/xatlas-helper/build '{folder}'")
 }
 
-/// Where the system tells: of Linux.
-fn memory() -> Option<Memory> {
-    let table = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let field = |name: &str| {
-        let line = table.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix(':'))?;
-        line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
-    };
-    let number = |file: &str| std::fs::read_to_string(Path::new("/sys/fs/cgroup").join(file)).ok()?.trim().parse().ok();
-    let (mut total_bytes, mut available_bytes) = (field("MemTotal")?, field("MemAvailable")?);
-    if let Some(limit) = number("memory.max").filter(|limit| *limit < total_bytes) {
-        total_bytes = limit;
-        available_bytes = available_bytes.min(limit.saturating_sub(number("memory.current").unwrap_or(0)));
-    }
-    Some(Memory { total_bytes, available_bytes })
-}
-
 fn temp_dir() -> TempDir {
     let path = std::env::temp_dir();
     let problem = tempfile::tempfile_in(&path).err().map(|e| e.to_string());
     TempDir { free_bytes: free_bytes(&path), path, problem }
-}
-
-/// Room for this user.
-#[cfg(unix)]
-fn free_bytes(folder: &Path) -> Option<u64> {
-    let disk = rustix::fs::statvfs(folder).ok()?;
-    disk.f_bavail.checked_mul(disk.f_frsize)
-}
-
-#[cfg(not(unix))]
-fn free_bytes(_: &Path) -> Option<u64> {
-    None
 }
 
 fn text(findings: &Findings) -> String {

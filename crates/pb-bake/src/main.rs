@@ -9,6 +9,7 @@ mod failure;
 mod inspect;
 mod progress;
 mod report;
+mod room;
 mod scene;
 mod texturing;
 
@@ -16,7 +17,8 @@ use clap::Parser;
 use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
 use pb_archive::{Overwrite, Writer};
-use pb_bake::images::Memory;
+use pb_bake::memory::{Bound, Memory};
+use pb_bake::traces;
 use pb_lod::progressive_buffers::bake::{BakeError, Stage};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
@@ -25,7 +27,7 @@ use report::BakeSummary;
 use scene::Scene;
 use std::process::ExitCode;
 
-/// Decoders of images hold their large blocks in files.
+/// Bounded; see its module.
 #[global_allocator]
 static MEMORY: Memory = Memory;
 
@@ -56,14 +58,16 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     }
     let overwrite = if args.force { Overwrite::Force } else { Overwrite::IfArchive };
     let writer = Writer::create(output, SCHEME, overwrite).map_err(blame_machine)?;
+    writer.temporary().into_iter().for_each(traces::add);
+    let bound = room::bound_memory(args)?;
 
     let progress = Progress::new(Mode::of(args.quiet));
-    let scene = scene::load(args, &progress)?;
+    let mut scene = scene::load(args, &progress)?;
     let show = |stage, share| {
         progress.stage(stage_name(stage));
         progress.share(share);
     };
-    let (model, baked, helper) = texturing::bake_scene(args, &scene, &progress, &show).map_err(|e| match e {
+    let (model, baked, helper) = texturing::bake_scene(args, &mut scene, &progress, &show).map_err(|e| match e {
         BakeError::TooLarge(_) => blame_input(e),
         e => blame_machine(e),
     })?;
@@ -71,7 +75,8 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     progress.stage("write");
     let bytes = write_model(writer, &model).map_err(blame_machine)?;
 
-    let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish());
+    let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish())
+        .with_memory(args.memory_bytes(), bound.as_ref().map(Bound::usage));
     let textures = textures.map(|t| t.with_bake(&model, &baked, helper));
     let summary = summary.with_input(&inputs, &repairs, textures);
     match (args.json, args.quiet) {

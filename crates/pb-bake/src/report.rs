@@ -5,6 +5,7 @@ use crate::progress::StageTime;
 use crate::scene::TextureSummary;
 use pb_archive::FORMAT_VERSION;
 use pb_bake::import::{InputReport, InstanceCounts};
+use pb_bake::memory::Usage;
 use pb_lod::progressive_buffers::bake::BakeReport;
 use pb_lod::progressive_buffers::instances::{InstanceRecord, Instances, ObjectRecord};
 use pb_lod::progressive_buffers::layout::{LevelRecord, ModelLevelRecord, ModelRecord};
@@ -228,6 +229,9 @@ pub struct BakeSummary {
     stages: Vec<StageSummary>,
     seconds: f64,
     peak_memory_bytes: Option<u64>,
+    memory_bound_bytes: Option<u64>,
+    /// Most bytes of temporary files that stood in for memory.
+    spilled_bytes: u64,
 }
 
 impl BakeSummary {
@@ -251,7 +255,16 @@ impl BakeSummary {
             seconds: stages.iter().map(|s| s.seconds).sum(),
             stages: stages.iter().map(|s| StageSummary::new(s, model.record.triangles_in)).collect(),
             peak_memory_bytes: peak_memory_bytes(),
+            memory_bound_bytes: None,
+            spilled_bytes: 0,
         }
+    }
+
+    /// Adds the bound on memory, and what lay beyond it.
+    pub fn with_memory(mut self, bound: Option<u64>, usage: Option<Usage>) -> Self {
+        self.memory_bound_bytes = bound.filter(|_| usage.is_some());
+        self.spilled_bytes = usage.unwrap_or_default().spilled_bytes;
+        self
     }
 
     /// Adds what came before the bake.
@@ -310,7 +323,13 @@ impl BakeSummary {
         let _ = writeln!(text, "time: {:.2} s, {all:.3} M triangles/s", self.seconds);
         self.stages.iter().for_each(|s| text += &(s.text() + "\n"));
         if let Some(bytes) = self.peak_memory_bytes {
-            let _ = writeln!(text, "peak memory: {} MiB", bytes >> 20);
+            let _ = write!(text, "peak memory: {} MiB", bytes >> 20);
+            let _ = match self.memory_bound_bytes {
+                Some(bound) => {
+                    writeln!(text, " of {} MiB; {} MiB in temporary files", bound >> 20, self.spilled_bytes >> 20)
+                }
+                None => writeln!(text),
+            };
         }
         let _ = writeln!(
             text,

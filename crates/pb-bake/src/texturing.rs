@@ -14,19 +14,17 @@ use pb_mesh::texture::image::Image;
 use pb_mesh::texture::{NormalSpace, Quality};
 use std::time::Duration;
 
-/// Bakes a scene with its textures.
+/// Bakes a scene with its textures. The mesh is taken out of it.
 pub fn bake_scene(
     args: &BakeArgs,
-    scene: &Scene,
+    scene: &mut Scene,
     progress: &Progress,
     show: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport, Option<HelperSummary>), BakeError> {
-    let spill = match scene.mesh.texturing {
-        Some(_) => Spill::in_folder(&args.decode_options().temp_dir)?,
-        None => Spill::in_memory(),
-    };
+    let mesh = std::mem::take(&mut scene.mesh);
+    let spill = Spill::in_folder(args.temp_folder())?;
     let images: Vec<Option<Image>> = scene.images.iter().cloned().map(Some).collect();
-    let wanted = args.charts == Some(ChartsFrom::Xatlas) && scene.mesh.texturing.is_some();
+    let wanted = args.charts == Some(ChartsFrom::Xatlas) && mesh.texturing.is_some();
     let pool = || Helper::find(args.xatlas_helper.as_deref()).and_then(Pool::new);
     let limit = Duration::from_secs_f64(args.xatlas_time_limit);
     let helper = wanted.then(|| HelperCharts::new(pool(), limit));
@@ -55,7 +53,7 @@ pub fn bake_scene(
         spill: &spill,
     };
     let triangles_in = scene.repairs.triangles_in;
-    let baked = bake_textured(&scene.mesh, Some(&textures), triangles_in, &args.bake_options(), show);
+    let baked = bake_textured(mesh, Some(&textures), triangles_in, &args.bake_options(), show);
     let (model, report) = baked?;
     let helper = helper.map(HelperCharts::summary);
     for fault in helper.iter().flat_map(|h| &h.faults) {

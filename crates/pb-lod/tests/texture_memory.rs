@@ -67,7 +67,7 @@ fn bake(across: u32, spill: &Spill) -> (usize, usize) {
     let options = BakeOptions { cluster_triangles: 128, ..BakeOptions::default() };
     // On one thread: each more would have a tile at work.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
-    let work = || bake_textured(&mesh, Some(&textures), 0, &options, &|_, _| {}).expect("options in range").0;
+    let work = || bake_textured(mesh, Some(&textures), 0, &options, &|_, _| {}).expect("options in range").0;
     let (peak, model) = peak_of(|| pool.install(work));
     let geometry = (model.record.clusters * model.record.levels) as usize;
     (model.chunks[geometry..].iter().map(|c| c.bytes.len()).sum(), peak)

@@ -83,7 +83,7 @@ fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) ->
         spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles, ..BakeOptions::default() };
-    let (model, report) = bake_textured(&mesh, Some(&textures), count, &options, &|_, _| {}).expect("options in range");
+    let (model, report) = bake_textured(mesh, Some(&textures), count, &options, &|_, _| {}).expect("options in range");
     (opened(&model), report)
 }
 
@@ -109,7 +109,7 @@ fn baked_with_normals(mut soup: Soup, paint: Option<[u8; 4]>) -> Model {
         spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles: 4096, ..BakeOptions::default() };
-    let baked = bake_textured(&mesh, Some(&textures), count as u64, &options, &|_, _| {});
+    let baked = bake_textured(mesh, Some(&textures), count as u64, &options, &|_, _| {});
     opened(&baked.expect("options in range").0)
 }
 

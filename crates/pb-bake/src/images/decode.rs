@@ -1,8 +1,8 @@
 //! One image, or all of a scene: what kind its bytes are, whether they fit, and what happens when they do not.
 
-use super::memory::in_files;
 use super::{DecodeOptions, ImageContent, ImageError, ImageSource, MAX_IMAGE_SIDE, exr, placeholder, raster};
 use crate::import::Source;
+use crate::memory::in_files;
 use image::ImageFormat;
 use pb_mesh::texture::image::Image;
 use std::path::Path;

@@ -2,17 +2,15 @@
 //!
 //! Importers only say where an image is ([`ImageSource`]); nothing is decoded before it is known to be used. Content
 //! decides the format, not the name. Sizes are checked before anything is allocated, a panic inside a decoder becomes
-//! an error, what decoders hold lies in files ([`Memory`]), and a missing or broken image becomes a placeholder that nobody overlooks.
+//! an error, what decoders hold lies in files ([`crate::memory`]), and a missing or broken image becomes a placeholder that nobody overlooks.
 
 mod decode;
 mod exr;
-mod memory;
 mod placeholder;
 mod raster;
 mod store;
 
 pub use decode::{Decoded, ImageFault, decode, decode_all};
-pub use memory::Memory;
 pub use placeholder::placeholder;
 
 use std::io;

@@ -2,6 +2,7 @@
 //! system may write them out and take their pages back at any time.
 
 use super::{DecodeOptions, ImageError};
+use crate::memory::Watched;
 use memmap2::{Mmap, MmapMut};
 use pb_mesh::texture::image::{Image, TexelBytes, TexelFormat};
 use std::io;
@@ -50,7 +51,10 @@ impl Store {
                 bytes.shrink_to_fit();
                 Arc::new(bytes)
             }
-            Store::Mapped(map) => Arc::new(Texels { map: map.make_read_only().map_err(ImageError::Io)?, length }),
+            Store::Mapped(map) => {
+                let map = map.make_read_only().map_err(ImageError::Io)?;
+                Arc::new(Texels { _watched: Watched::new(&map), map, length })
+            }
         };
         Ok(Image::new(width, height, format, bytes))
     }
@@ -58,7 +62,7 @@ impl Store {
 
 /// A new file of zeros in memory; it has no name and is gone when the map is.
 #[allow(unsafe_code)]
-pub(super) fn map_new_file(folder: &Path, bytes: u64) -> io::Result<MmapMut> {
+fn map_new_file(folder: &Path, bytes: u64) -> io::Result<MmapMut> {
     let file = tempfile::tempfile_in(folder)?;
     reserve(&file, bytes)?;
     // SAFETY: the file was made for this mapping alone, has no name, and its descriptor is closed when this
@@ -84,6 +88,8 @@ fn reserve(file: &std::fs::File, bytes: u64) -> io::Result<()> {
 
 /// The first bytes of a mapped file.
 struct Texels {
+    /// Lets the pages of the map go where memory is short; ends before the map.
+    _watched: Watched,
     map: Mmap,
     length: usize,
 }

@@ -2,6 +2,7 @@
 
 use super::Format;
 use super::error::{ImportError, Refusal, damaged, refused};
+use crate::memory::Watched;
 use memmap2::Mmap;
 use std::fs::File;
 use std::path::Path;
@@ -39,6 +40,8 @@ const SNIFFED_BYTES: usize = 4096;
 
 /// A file's bytes, mapped where there are any.
 pub(crate) struct Source {
+    /// Lets the pages of the map go where memory is short; ends before the map.
+    _watched: Option<Watched>,
     map: Option<Mmap>,
 }
 
@@ -57,14 +60,14 @@ impl Source {
             return Err(refused(Refusal::Unsupported, name, "is not a regular file", remedy));
         }
         if metadata.len() == 0 {
-            return Ok(Source { map: None });
+            return Ok(Source { _watched: None, map: None });
         }
         let file = File::open(path).map_err(io)?;
         // SAFETY: the mapping is read-only and private to this value. Its bytes are outside data, every reader checks
         // them before use, and nothing relies on their staying the same; a file that another program cuts while it is
         // read ends this one, as the manual of mmap says.
         let map = unsafe { Mmap::map(&file) }.map_err(io)?;
-        Ok(Source { map: Some(map) })
+        Ok(Source { _watched: Some(Watched::new(&map)), map: Some(map) })
     }
 
     pub(crate) fn bytes(&self) -> &[u8] {

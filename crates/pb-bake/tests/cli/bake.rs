@@ -164,3 +164,55 @@ fn a_full_disk_is_the_machines_fault_and_leaves_nothing() {
     Run::of(command.output().unwrap()).fails(2, "wave.pb: cannot");
     assert_eq!(place.files(), ["wave.obj"]);
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_bake_that_does_not_fit_its_memory_spills_and_gives_the_same_bytes() {
+    let place = Place::new();
+    place.write("large.ply", &large_ply(1000));
+    let free = place.run(&["large.ply", "a.pb", "--json", "--quiet", "--memory", "16GiB"]).succeeds().json();
+    let bound = place.run(&["large.ply", "b.pb", "--json", "--quiet", "--memory", "256MiB"]).succeeds().json();
+    assert!(place.read("a.pb") == place.read("b.pb"));
+    assert_eq!((free["spilled_bytes"].as_u64(), bound["memory_bound_bytes"].as_u64()), (Some(0), Some(256 << 20)));
+    assert!(bound["spilled_bytes"].as_u64() > Some(50 << 20), "{}", bound["spilled_bytes"]);
+    assert!(bound["peak_memory_bytes"].as_u64() < free["peak_memory_bytes"].as_u64());
+    assert_eq!(place.files(), ["a.pb", "b.pb", "large.ply", "wave.obj"], "nothing is left");
+}
+
+/// `2 * side * side` triangles as a binary PLY.
+#[cfg(target_os = "linux")]
+fn large_ply(side: u32) -> Vec<u8> {
+    let (vertices, faces) = ((side + 1) * (side + 1), 2 * side * side);
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\n\
+         property float z\nelement face {faces}\nproperty list uchar uint vertex_indices\nend_header\n"
+    )
+    .into_bytes();
+    for (x, y) in (0..vertices).map(|i| ((i % (side + 1)) as f32, (i / (side + 1)) as f32)) {
+        let point = [x, y, (x / 9.0).sin() * (y / 7.0).cos() * 5.0];
+        point.iter().for_each(|c| bytes.extend(c.to_le_bytes()));
+    }
+    for a in (0..side * side).map(|i| i / side * (side + 1) + i % side) {
+        for t in [[a, a + 1, a + side + 2], [a, a + side + 2, a + side + 1]] {
+            bytes.push(3);
+            t.iter().for_each(|i| bytes.extend(i.to_le_bytes()));
+        }
+    }
+    bytes
+}
+
+#[test]
+fn memory_that_is_too_little_or_no_size_is_a_usage_error() {
+    let place = Place::new();
+    place.run(&["wave.obj", "wave.pb", "--memory", "1MiB"]).fails(2, "at least 256MiB");
+    place.run(&["wave.obj", "wave.pb", "--memory", "much"]).fails(2, "for example 4GiB");
+}
+
+#[test]
+fn what_a_killed_bake_left_is_removed_by_the_next_one() {
+    let place = Place::new();
+    place.write(".pb-bake-killed.tmp", b"half an archive");
+    place.write(".pb-bake-notes.txt", b"mine");
+    place.run(&["wave.obj", "wave.pb"]).succeeds();
+    assert_eq!(place.files(), [".pb-bake-notes.txt", "wave.obj", "wave.pb"]);
+}

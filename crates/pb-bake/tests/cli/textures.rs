@@ -72,7 +72,7 @@ fn large_images_need_room_and_say_so() {
 fn texture_chunks_need_room_and_say_so() {
     let place = place();
     let before = place.files();
-    place.run(&["m.obj", "m.pb", "--temp-dir", "nowhere"]).fails(2, "nowhere: chunks cannot be kept");
+    place.run(&["m.obj", "m.pb", "--temp-dir", "nowhere"]).fails(2, "nowhere: cannot hold temporary files");
     assert_eq!(place.files(), before);
 }
 

@@ -79,7 +79,7 @@ pub fn read_obj(path: &Path) -> Soup {
 pub fn baked(soup: Soup, options: &BakeOptions) -> Model {
     let count = soup.triangles.len() as u64;
     let (mesh, _) = repair(soup, &RepairOptions::default()).expect("a sound mesh");
-    let (model, _) = bake(&mesh, count, options, &|_, _| {}).expect("sound options");
+    let (model, _) = bake(mesh, count, options, &|_, _| {}).expect("sound options");
     let storage = MemoryStorage::default();
     let writer = Writer::with_storage(storage.clone(), Path::new("test.pb"), SCHEME).expect("memory");
     write_model(writer, &model).expect("memory");

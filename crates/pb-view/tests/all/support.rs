@@ -63,7 +63,7 @@ pub fn hills(n: u32) -> Soup {
 pub fn bake_to(path: &Path, soup: Soup, options: &BakeOptions) {
     let triangles_in = soup.triangles.len() as u64;
     let (mesh, _) = repair(soup, &RepairOptions::default()).expect("a clean mesh");
-    let (model, _) = bake(&mesh, triangles_in, options, &|_, _| {}).expect("plain options");
+    let (model, _) = bake(mesh, triangles_in, options, &|_, _| {}).expect("plain options");
     let writer = Writer::create(path, SCHEME, Overwrite::Force).expect("the target can be written");
     write_model(writer, &model).expect("the disk has room");
 }

@@ -37,7 +37,7 @@ fn bake_hills_as(name: &str, mut soup: Soup, image: Image, mode: ChartMode, mut 
         spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: 4, cluster_triangles: 2048, ..BakeOptions::default() };
-    let (model, _) = bake_textured(&mesh, Some(&textures), triangles, &options, &|_, _| {}).unwrap();
+    let (model, _) = bake_textured(mesh, Some(&textures), triangles, &options, &|_, _| {}).unwrap();
     let path = folder("archives").join(name);
     write_model(Writer::create(&path, SCHEME, Overwrite::Force).unwrap(), &model).unwrap();
     path

@@ -4,23 +4,21 @@ use super::buffers::{self, Coordinates, Place, Source};
 use super::charting::Tiles;
 use super::grid::Grid;
 use super::levels::LevelErrors;
+use super::surface::Surface;
 use super::{Clusters, for_clusters};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
 use crate::progressive_buffers::model::{FLAG_COLORS, FLAG_INSTANCES};
 use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
-use pb_mesh::mesh::Mesh;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 use rayon::prelude::*;
 
 /// The results of all earlier steps.
 pub(super) struct Finished<'a> {
-    pub mesh: &'a Mesh,
+    pub surface: &'a Surface,
     pub triangles_in: u64,
-    /// Position indices.
-    pub triangles: &'a [[u32; 3]],
     pub clusters: &'a Clusters,
     /// Where there are textures.
     pub tiles: Option<&'a Tiles>,
@@ -32,11 +30,16 @@ pub(super) struct Finished<'a> {
 /// Orders the clusters, packs their buffers and fills all tables but those of textures. Returns the model, the clusters
 /// of the segmentation in its order, and the average cache misses per triangle of each level.
 pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (BakedModel, Vec<u32>, Vec<f32>) {
-    let &Finished { mesh, triangles_in, triangles, clusters, collapses, errors, levels, .. } = input;
+    let &Finished { surface, triangles_in, clusters, collapses, errors, levels, .. } = input;
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let bounds: Vec<Bounds> = (0..count)
         .into_par_iter()
-        .map(|c| Bounds::of(clusters.segmentation.cluster(c).iter().flat_map(|&t| triangles[t as usize]), &grid.points))
+        .map(|c| {
+            Bounds::of(
+                clusters.segmentation.cluster(c).iter().flat_map(|&t| surface.triangles[t as usize]),
+                &grid.points,
+            )
+        })
         .collect();
     let spheres: Vec<(DVec3, f64)> = bounds.iter().map(|b| (b.center.as_dvec3(), b.radius as f64)).collect();
     let mut hierarchy = hierarchy::build_groups(&spheres, &clusters.objects.counts);
@@ -44,8 +47,8 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
     hierarchy.order.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = new as u32);
     let (neighbours, firsts) = neighbour_lists(clusters, &new_of);
     let source = Source {
-        wedges: &mesh.wedges,
-        triangles: &mesh.triangles,
+        wedges: &surface.wedges,
+        triangles: surface.corners(),
         points: &grid.points,
         kinds: &clusters.kinds,
         collapses,
@@ -96,7 +99,8 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
         maps: Vec::new(),
         tiles: Vec::new(),
         record: ModelRecord {
-            flags: if mesh.has_colors { FLAG_COLORS } else { 0 } | if objects.is_empty() { 0 } else { FLAG_INSTANCES },
+            flags: if surface.has_colors { FLAG_COLORS } else { 0 }
+                | if objects.is_empty() { 0 } else { FLAG_INSTANCES },
             ..model_record(triangles_in, grid, &bounds, levels)
         },
         objects,

@@ -49,7 +49,7 @@ impl Part {
     /// Cluster `c` of the input.
     pub fn new(input: &ChartInput, texturing: &Texturing, c: usize) -> Part {
         let members = input.clusters.segmentation.cluster(c);
-        let mut global: Vec<u32> = members.iter().flat_map(|&t| input.triangles[t as usize]).collect();
+        let mut global: Vec<u32> = members.iter().flat_map(|&t| input.surface.triangles[t as usize]).collect();
         global.sort_unstable();
         global.dedup();
         let point = |v: u32| IVec3::from_array(input.clusters.grid.points[v as usize]);
@@ -57,7 +57,7 @@ impl Part {
         let local = |v: u32| global.binary_search(&v).expect("collected above") as u32;
         let mut part = Part {
             positions: global.iter().map(|&v| (point(v) - origin).as_vec3().to_array()).collect(),
-            triangles: members.iter().map(|&t| input.triangles[t as usize].map(local)).collect(),
+            triangles: members.iter().map(|&t| input.surface.triangles[t as usize].map(local)).collect(),
             texels: Vec::with_capacity(members.len()),
             keys: Vec::with_capacity(members.len()),
             scale: input.scale,
@@ -76,7 +76,7 @@ impl Part {
                     part.keys.push(*image_looks.entry((material, hues[i])).or_insert(next));
                 }
                 None => {
-                    let colors = input.mesh.triangles[t as usize].map(|w| input.mesh.wedges[w as usize].color);
+                    let colors = input.surface.corners()[t as usize].map(|w| input.surface.wedges[w as usize].color);
                     part.shaded |= colors[0] != colors[1] || colors[1] != colors[2];
                     let next = plain_looks.len() as u32;
                     let number = *plain_looks.entry((material, colors[0])).or_insert(next);
@@ -92,7 +92,7 @@ impl Part {
     /// two colours, and where an image is stretched over the surface a texel is wide.
     fn hues(&self, input: &ChartInput, members: &[u32]) -> Vec<u32> {
         let mut hues: Vec<u32> = (0..members.len() as u32).collect();
-        if !input.mesh.has_colors {
+        if !input.surface.has_colors {
             return vec![0; members.len()];
         }
         fn root(hues: &mut [u32], mut t: u32) -> u32 {
@@ -103,8 +103,8 @@ impl Part {
             t
         }
         let color = |t: usize, k: usize| {
-            let wedge = input.mesh.triangles[members[t] as usize][k];
-            input.mesh.wedges[wedge as usize].color
+            let wedge = input.surface.corners()[members[t] as usize][k];
+            input.surface.wedges[wedge as usize].color
         };
         let mut edges: BTreeMap<[(u32, [u8; 4]); 2], u32> = BTreeMap::new();
         for (t, corners) in self.triangles.iter().enumerate() {

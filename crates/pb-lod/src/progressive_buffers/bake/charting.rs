@@ -2,10 +2,11 @@
 //! (docs/decisions/007-textures.md). What comes out is integers; simplification and drawing use the very same.
 
 use super::chart_part::Part;
+use super::surface::Surface;
 use super::{Clusters, TextureInput, for_clusters};
 use pb_mesh::charts::{Charts, ClusterSurface};
 use pb_mesh::material::{Material, Slot, TextureRef};
-use pb_mesh::mesh::{Mesh, Texturing};
+use pb_mesh::mesh::Texturing;
 use pb_mesh::simplify::UvInput;
 use pb_mesh::texture::image::Image;
 use rayon::prelude::*;
@@ -117,9 +118,7 @@ pub(super) enum Origin {
 
 /// What charts are made from.
 pub(super) struct ChartInput<'a> {
-    pub mesh: &'a Mesh,
-    /// Position indices.
-    pub triangles: &'a [[u32; 3]],
+    pub surface: &'a Surface,
     pub clusters: &'a Clusters,
     pub materials: &'a [Material],
     pub images: &'a [Option<Image>],
@@ -141,15 +140,15 @@ pub(super) struct Sizing {
 }
 
 /// Sizes clusters of `most` triangles at most.
-pub(super) fn sizing(mesh: &Mesh, textures: &TextureInput, most: usize) -> Sizing {
-    let texturing = mesh.texturing.as_ref().expect("only textured meshes have tiles");
+pub(super) fn sizing(surface: &Surface, textures: &TextureInput, most: usize) -> Sizing {
+    let texturing = surface.texturing.as_ref().expect("only textured meshes have tiles");
     let texels = |t: usize| {
         let Some((uv, _)) = source_texels(texturing, textures.materials, textures.images, t) else { return 0.0 };
         let [a, b, c] = uv.map(|p| p.map(f64::from));
         ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / 2.0
     };
     const BLOCK: usize = 1 << 14;
-    let count = mesh.triangles.len();
+    let count = surface.triangles.len();
     let block = |from: usize| (from..(from + BLOCK).min(count)).map(texels).filter(|x| x.is_finite()).sum::<f64>();
     let starts: Vec<usize> = (0..count).step_by(BLOCK).collect();
     let per_triangle = starts.into_par_iter().map(block).collect::<Vec<f64>>().iter().sum::<f64>() / count as f64;
@@ -199,7 +198,7 @@ fn chart_texture(material: &Material) -> Option<&TextureRef> {
 
 /// Charts and packs all clusters.
 pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, progress: &(dyn Fn(f32) + Sync)) -> Tiles {
-    let texturing = input.mesh.texturing.as_ref().expect("only textured meshes have tiles");
+    let texturing = input.surface.texturing.as_ref().expect("only textured meshes have tiles");
     let count = input.clusters.segmentation.len();
     let tiles = for_clusters(count, progress, |c| Part::new(input, texturing, c).tile(options));
     number(input, tiles)
@@ -208,7 +207,7 @@ pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, progress: &
 /// Gives UV wedges their numbers: cluster after cluster, ascending by position.
 fn number(input: &ChartInput, tiles: Vec<ClusterTile>) -> Tiles {
     let mut out = Tiles {
-        corners: vec![[0; 3]; input.triangles.len()],
+        corners: vec![[0; 3]; input.surface.triangles.len()],
         position_of: Vec::new(),
         uv: Vec::new(),
         side: tiles.iter().map(|t| t.side).collect(),
@@ -218,7 +217,8 @@ fn number(input: &ChartInput, tiles: Vec<ClusterTile>) -> Tiles {
         let members = input.clusters.segmentation.cluster(c);
         let mut corners: Vec<(u32, u32, [u16; 2], u32, u8)> = Vec::with_capacity(members.len() * 3);
         for (i, &t) in members.iter().enumerate() {
-            let corner = |k: usize| (input.triangles[t as usize][k], tile.chart_of[i], tile.corners[i][k], t, k as u8);
+            let corner =
+                |k: usize| (input.surface.triangles[t as usize][k], tile.chart_of[i], tile.corners[i][k], t, k as u8);
             corners.extend((0..3).map(corner));
         }
         corners.sort_unstable();

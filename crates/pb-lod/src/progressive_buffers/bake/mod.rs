@@ -14,6 +14,7 @@ mod grid;
 mod lanes;
 mod levels;
 mod objects;
+mod surface;
 mod tiles;
 
 pub use charting::{ChartMode, ChartOptions, ChartSummary, Charter, DEFAULT_TILE_SIZE};
@@ -31,7 +32,7 @@ use objects::ObjectClusters;
 use pb_archive::{ArchiveError, Spill};
 use pb_mesh::deviation::texture_deviation;
 use pb_mesh::material::Material;
-use pb_mesh::mesh::Mesh;
+use pb_mesh::mesh::{Mesh, Wedge};
 use pb_mesh::segment::{Segmentation, segment_objects};
 use pb_mesh::simplify::{UnisonInput, simplify};
 use pb_mesh::texture::NormalSpace;
@@ -39,6 +40,7 @@ use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use surface::Surface;
 use tiles::fill_tiles;
 
 /// Most neighbours that border slots can name.
@@ -139,7 +141,7 @@ pub enum BakeError {
 /// # Errors
 /// [`BakeError`] for options out of range.
 pub fn bake(
-    mesh: &Mesh,
+    mesh: Mesh,
     triangles_in: u64,
     options: &BakeOptions,
     progress: &(dyn Fn(Stage, f32) + Sync),
@@ -152,26 +154,24 @@ pub fn bake(
 /// # Errors
 /// [`BakeError`] for options out of range, and where there is no room for texture chunks.
 pub fn bake_textured(
-    mesh: &Mesh,
+    mesh: Mesh,
     textures: Option<&TextureInput>,
     triangles_in: u64,
     options: &BakeOptions,
     progress: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport), BakeError> {
     let textures = textures.filter(|_| mesh.texturing.is_some());
-    check(mesh, textures, options)?;
+    check(&mesh, textures, options)?;
     let levels = options.levels as usize;
     progress(Stage::Segment, 0.0);
-    let triangles: Vec<[u32; 3]> =
-        (0..mesh.triangles.len()).into_par_iter().map(|t| mesh.corner_positions(t)).collect();
-    let sizing = textures.map(|t| sizing(mesh, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)));
+    let (mut surface, positions) = Surface::new(mesh);
+    let sizing = textures.map(|t| sizing(&surface, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)));
     let max_triangles = sizing.map_or(options.cluster_triangles, |s| s.cluster_triangles);
-    let clusters = Clusters::new(mesh, &triangles, max_triangles);
+    let clusters = Clusters::new(&mut surface, positions, max_triangles);
     let tiles = textures.map(|t| {
         progress(Stage::Charts, 0.0);
         let input = ChartInput {
-            mesh,
-            triangles: &triangles,
+            surface: &surface,
             clusters: &clusters,
             materials: t.materials,
             images: t.images,
@@ -181,21 +181,22 @@ pub fn bake_textured(
         make_tiles(&input, &t.charts, &|x| progress(Stage::Charts, x))
     });
     progress(Stage::Simplify, 0.0);
-    let normals = normals(mesh);
-    let unison = clusters.unison(&triangles, &normals, tiles.as_ref());
+    let normals = normals(&surface.wedges, clusters.grid.points.len());
+    let unison = clusters.unison(&surface.triangles, &normals, tiles.as_ref());
     let collapses = simplify(&unison, levels, options.ratio, &|x| progress(Stage::Simplify, x));
+    drop(normals);
     progress(Stage::Measure, 0.0);
-    let mut errors = measure_levels(&triangles, &clusters, &collapses, levels, &|x| progress(Stage::Measure, x));
+    let mut errors =
+        measure_levels(&surface.triangles, &clusters, &collapses, levels, &|x| progress(Stage::Measure, x));
     if let Some(tiles) = &tiles {
         let (points, segmentation) = (&clusters.grid.points, &clusters.segmentation);
-        let slides = texture_deviation(points, &triangles, segmentation, &tiles.uv_input(), &collapses);
+        let slides = texture_deviation(points, &surface.triangles, segmentation, &tiles.uv_input(), &collapses);
         add_slides(&mut errors, &slides, clusters.grid.quantum);
     }
     progress(Stage::Pack, 0.0);
     let finished = Finished {
-        mesh,
+        surface: &surface,
         triangles_in,
-        triangles: &triangles,
         clusters: &clusters,
         tiles: tiles.as_ref(),
         collapses: &collapses,
@@ -259,9 +260,9 @@ fn share_of<T>(count: usize, progress: &(dyn Fn(f32) + Sync)) -> impl Fn(T) -> T
 }
 
 /// Mean normal of each position's wedges.
-fn normals(mesh: &Mesh) -> Vec<Vec3> {
-    let mut sums = vec![Vec3::ZERO; mesh.positions.len()];
-    for w in &mesh.wedges {
+fn normals(wedges: &[Wedge], positions: usize) -> Vec<Vec3> {
+    let mut sums = vec![Vec3::ZERO; positions];
+    for w in wedges {
         sums[w.position as usize] += Vec3::from_array(w.normal);
     }
     sums.into_par_iter().map(Vec3::normalize_or_zero).collect()
@@ -279,20 +280,24 @@ struct Clusters {
 }
 
 impl Clusters {
-    fn new(mesh: &Mesh, triangles: &[[u32; 3]], max_triangles: usize) -> Self {
-        let (objects, corners) = (&mesh.objects, &mesh.triangles);
-        let segmentation = segment_objects(&mesh.positions, &objects.of, triangles, corners, max_triangles);
-        let objects = ObjectClusters::new(objects, triangles, &segmentation);
+    /// Cuts a surface, and puts it in the order of the clusters.
+    fn new(surface: &mut Surface, mut positions: Vec<[f64; 3]>, max_triangles: usize) -> Self {
+        let objects = std::mem::take(&mut surface.objects);
+        let mut segmentation =
+            segment_objects(&positions, &objects.of, &surface.triangles, surface.corners(), max_triangles);
+        let objects = ObjectClusters::new(&objects, &surface.triangles, &segmentation);
+        surface.arrange(&mut positions, &mut segmentation);
+        let triangles = surface.triangles.as_slice();
         let mut cluster_of = vec![0; triangles.len()];
         for c in 0..segmentation.len() {
             for &t in segmentation.cluster(c) {
                 cluster_of[t as usize] = c as u32;
             }
         }
-        let fans = Fans::new(mesh.positions.len(), triangles);
-        let (mut kinds, broken) = classify(triangles, &cluster_of, &fans, mesh.positions.len());
+        let fans = Fans::new(positions.len(), triangles);
+        let (mut kinds, broken) = classify(triangles, &cluster_of, &fans, positions.len());
         lock_excess_neighbours(&mut kinds, &cluster_of, &fans, segmentation.len());
-        let grid = grid::snap(&mesh.positions, triangles, &segmentation, &cluster_of, &fans);
+        let grid = grid::snap(&positions, triangles, &segmentation, &cluster_of, &fans);
         Clusters { segmentation, objects, cluster_of, fans, kinds, broken, grid }
     }
 

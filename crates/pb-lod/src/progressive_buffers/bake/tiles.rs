@@ -3,6 +3,7 @@
 use super::assemble::Finished;
 use super::charting::Tiles;
 use super::lanes::run_bounded;
+use super::surface::Surface;
 use super::{Clusters, TextureInput, share_of};
 use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_INSTANCES, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
@@ -10,7 +11,7 @@ use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
 use glam::IVec3;
 use pb_archive::ArchiveError;
 use pb_mesh::material::Material;
-use pb_mesh::mesh::{Mesh, Texturing};
+use pb_mesh::mesh::Texturing;
 use pb_mesh::texture::{
     self, BakeOptions, BlockFormat, Coverage, Mips, NormalSpace, Quality, TileLayout, TileSource, bake_tile, encode,
     encode_shown, scratch_bytes,
@@ -98,11 +99,11 @@ pub(super) fn fill_tiles(
     progress: &(dyn Fn(f32) + Sync),
 ) -> Result<(), ArchiveError> {
     let texels = tiles.tiles.iter().map(|t| u64::from(t.size) * u64::from(t.size)).sum();
-    let maps = maps(input, finished.mesh.has_colors, texels);
+    let maps = maps(input, finished.surface.has_colors, texels);
     let baker = TileBaker {
-        mesh: finished.mesh,
-        texturing: finished.mesh.texturing.as_ref().expect("only textured meshes have tiles"),
-        triangles: finished.triangles,
+        surface: finished.surface,
+        texturing: finished.surface.texturing.as_ref().expect("only textured meshes have tiles"),
+        triangles: &finished.surface.triangles,
         clusters: finished.clusters,
         tiles,
         input,
@@ -125,7 +126,7 @@ pub(super) fn fill_tiles(
 
 /// What tiles are filled from.
 struct TileBaker<'a> {
-    mesh: &'a Mesh,
+    surface: &'a Surface,
     texturing: &'a Texturing,
     /// Position indices.
     triangles: &'a [[u32; 3]],
@@ -192,13 +193,13 @@ impl TileBaker<'_> {
 
     /// Makes the maps of a tile, one after the other, and hands them out with their numbers.
     fn each_map(&self, layout: &TileLayout, members: &[u32], mut take: impl FnMut(&Coverage, usize, Mips)) {
-        let wedge = |w: u32| &self.mesh.wedges[w as usize];
-        let per_triangle = |t: &u32| self.mesh.triangles[*t as usize];
+        let wedge = |w: u32| &self.surface.wedges[w as usize];
+        let per_triangle = |t: &u32| self.surface.corners()[*t as usize];
         let none = self.input.materials.len() as u32;
         let material_of: Vec<u32> = members.iter().map(|&t| self.texturing.material_of[t as usize].min(none)).collect();
         let of_set = |set: &Vec<[[f32; 2]; 3]>| members.iter().map(|&t| set[t as usize]).collect();
         let uv_sets: Vec<Vec<[[f32; 2]; 3]>> = self.texturing.corner_uvs.iter().map(of_set).collect();
-        let colors: Vec<_> = match self.mesh.has_colors {
+        let colors: Vec<_> = match self.surface.has_colors {
             true => members.iter().map(|t| per_triangle(t).map(|w| wedge(w).color)).collect(),
             false => Vec::new(),
         };
