@@ -1,7 +1,8 @@
 //! Meshes that are placed more than once become objects: their geometry is read once and keeps a list of places.
 //!
 //! Places of one object differ by turns, moves and one scale for all directions. Where a mesh is also mirrored or stretched,
-//! all places that are so in the same way make an object of their own; a way that occurs once is written out as geometry.
+//! all places that are so in the same way make an object of their own. What would save few triangles is written out as
+//! geometry: an object has clusters of its own, and each of its instances draws of its own.
 
 use super::super::Warnings;
 use super::super::textures::InstanceCounts;
@@ -12,6 +13,9 @@ use std::collections::BTreeMap;
 
 /// Steps in which stretches are told apart before they are compared closely.
 const STRETCH_STEPS: f64 = 1e4;
+
+/// Objects save at least so many triangles.
+const MIN_SAVED_TRIANGLES: u64 = 1024;
 
 /// What is placed, in the order in which it is written.
 #[derive(Default)]
@@ -55,8 +59,8 @@ impl ObjectPlan {
 }
 
 impl Layout {
-    /// With an object for every mesh that is placed more than once.
-    pub(super) fn of(placed: Vec<Placed>) -> Layout {
+    /// With objects for meshes that are placed more than once. `triangles` of a mesh.
+    pub(super) fn of(placed: Vec<Placed>, triangles: impl Fn(usize) -> u64) -> Layout {
         let mut uses: BTreeMap<usize, usize> = BTreeMap::new();
         placed.iter().for_each(|at| *uses.entry(at.mesh).or_default() += 1);
         let mut layout = Layout::default();
@@ -71,9 +75,12 @@ impl Layout {
         }
         for shape in shapes.into_values() {
             let shape = layout.on_its_largest(shape);
-            match shape.members.len() {
-                1 => layout.write_out(Placed { mesh: shape.mesh, world: shape.base }),
-                _ => layout.objects.push(shape),
+            let saved = triangles(shape.mesh).saturating_mul(shape.members.len() as u64 - 1);
+            match saved >= MIN_SAVED_TRIANGLES {
+                true => layout.objects.push(shape),
+                false => {
+                    shape.members.iter().for_each(|m| layout.write_out(Placed { mesh: shape.mesh, world: m.world }))
+                }
             }
         }
         layout

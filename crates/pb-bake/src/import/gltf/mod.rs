@@ -51,8 +51,10 @@ pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Model, Impo
         materials.uv_sets.push(0);
     }
     let placed = scene::placed_meshes(&reader, input.max_triangles)?;
-    let layout =
-        if input.keeps_instances { Layout::of(placed) } else { Layout { single: placed, ..Layout::default() } };
+    let layout = match input.keeps_instances {
+        true => Layout::of(placed, |mesh| triangles_of(&reader, mesh)),
+        false => Layout { single: placed, ..Layout::default() },
+    };
     let written = layout.single.iter().map(|at| at.mesh).chain(layout.objects.iter().map(|o| o.mesh));
     let size = measure(&reader, written, &materials, input.max_triangles)?;
     let mut parts = Parts { reader: &reader, materials: &materials, cache: Vec::new(), warnings };
@@ -175,11 +177,8 @@ fn measure(
             let what = format!("a node has mesh {number}, but there are only {}", reader.document.meshes.len());
             return Err(damaged(reader.name, what));
         };
-        for primitive in mesh.primitives.iter().filter(|p| (MODE_TRIANGLES..=MODE_FAN).contains(&p.mode)) {
-            let Some(position) = primitive.attributes.position else { continue };
-            let vertices = reader.accessor(position)?.count;
-            let corners = primitive.indices.map_or(Ok(vertices), |i| reader.accessor(i).map(|a| a.count))?;
-            let triangles = if primitive.mode == MODE_TRIANGLES { corners / 3 } else { corners.saturating_sub(2) };
+        for primitive in &mesh.primitives {
+            let Some([vertices, triangles]) = counts(reader, primitive)? else { continue };
             size.vertices = size.vertices.saturating_add(vertices);
             size.triangles = size.triangles.saturating_add(triangles);
             size.has_uvs |= materials.uv_sets.iter().any(|&n| primitive.attributes.uv(n).is_some());
@@ -198,6 +197,23 @@ fn measure(
         return Err(refused(Refusal::TooLarge, reader.name, what, format!("only {available} are available: split it")));
     }
     Ok(size)
+}
+
+/// Vertices and triangles of a primitive; none of points, lines and what has no positions.
+fn counts(reader: &Reader, primitive: &Primitive) -> Result<Option<[u64; 2]>, ImportError> {
+    let is_surface = (MODE_TRIANGLES..=MODE_FAN).contains(&primitive.mode);
+    let Some(position) = primitive.attributes.position.filter(|_| is_surface) else { return Ok(None) };
+    let vertices = reader.accessor(position)?.count;
+    let corners = primitive.indices.map_or(Ok(vertices), |i| reader.accessor(i).map(|a| a.count))?;
+    let triangles = if primitive.mode == MODE_TRIANGLES { corners / 3 } else { corners.saturating_sub(2) };
+    Ok(Some([vertices, triangles]))
+}
+
+/// Triangles of a mesh. What is wrong with it counts nothing here, and is said when the scene is measured.
+fn triangles_of(reader: &Reader, mesh: usize) -> u64 {
+    let primitives = reader.document.meshes.get(mesh).map_or(&[][..], |m| &m.primitives);
+    let counts = primitives.iter().filter_map(|p| counts(reader, p).ok()?);
+    counts.fold(0, |sum, [_, triangles]| sum.saturating_add(triangles))
 }
 
 /// Bytes that the system can give without swapping; where it does not say, four gibibytes.
