@@ -2,10 +2,10 @@
 
 use crate::progressive_buffers::hierarchy::Hierarchy;
 use crate::progressive_buffers::instances::{InstanceRecord, ObjectRecord};
-use crate::progressive_buffers::layout::NodeRecord;
 use glam::DVec3;
 use pb_mesh::objects::{Objects, Placement};
 use pb_mesh::segment::Segmentation;
+use std::collections::BTreeMap;
 
 /// Steps per axis in which places are sorted along a space-filling curve.
 const CURVE_BITS: u32 = 20;
@@ -46,12 +46,13 @@ impl ObjectClusters {
         let Some(placements) = &self.placements else { return (objects, instances) };
         let ends = ends(&self.counts);
         let object_of = |old: u32| ends.partition_point(|&end| end <= old as usize);
+        let nodes: BTreeMap<(u32, u32), usize> =
+            hierarchy.nodes.iter().enumerate().map(|(i, n)| ((n.first_cluster, n.cluster_count), i)).collect();
         let mut first = 0;
         while first < hierarchy.order.len() {
             let object = object_of(hierarchy.order[first]);
             let range = (first as u32, self.counts[object] as u32);
-            let is_own = |n: &NodeRecord| (n.first_cluster, n.cluster_count) == range;
-            let node = hierarchy.nodes.iter().position(is_own).expect("each object is a subtree");
+            let node = *nodes.get(&range).expect("each object is a subtree");
             let center = DVec3::from_array(hierarchy.nodes[node].center.map(f64::from)) * quantum;
             let around = placements[object].iter().map(|p| p.around(DVec3::from_array(origin))).collect();
             let sorted = along_curve(around, center);
