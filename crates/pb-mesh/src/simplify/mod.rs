@@ -122,9 +122,10 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let mut seams = color_seams(build_seams(input, &members));
     let mut counts = vec![input.positions.len()];
     let mut search = Search::new(&patches, input.positions);
+    // But for points that vanished components leave.
     let mut alive = input.positions.len();
     for level in 0..levels - 1 {
-        alive -= patches.iter().map(|p| lock(p).bury_points(level as u8)).sum::<usize>();
+        patches.par_iter().for_each(|p| lock(p).bury_points(level as u8));
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
         patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
@@ -143,7 +144,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             search.record(alive as f64);
             progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
         }
-        counts.push(alive);
+        counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
     collect(&patches, input, levels, counts)
 }
@@ -175,7 +176,7 @@ fn run_round(
 ) -> usize {
     let inside = |p: &Mutex<Patch>, quota: usize| {
         let mut p = lock(p);
-        let vanishing = (p.alive() as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
+        let vanishing = ((p.alive() - p.point_count()) as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
         let collapsed = p.collapse_interior(limit, level, quota);
         collapsed + p.vanish(limit, level, vanishing.min(quota - collapsed))
     };
