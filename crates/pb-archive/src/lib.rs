@@ -22,6 +22,6 @@ pub use format::{
     ALIGNMENT, CHUNK_TABLE, ChunkRecord, FEATURES, FORMAT_VERSION, FeatureRecord, Header, MAGIC, SectionRecord,
 };
 pub use reader::{Archive, Table};
-pub use spill::{ChunkBytes, Spill};
+pub use spill::{ChunkBytes, Spill, SpillPlace};
 pub use storage::{FileStorage, MemoryStorage, Overwrite, Storage};
 pub use writer::{Feature, Writer};

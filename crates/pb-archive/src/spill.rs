@@ -1,7 +1,9 @@
-//! Room for chunks until their turn to be written comes: memory, or a temporary file without a name.
+//! Room for chunks until their turn to be written comes: memory, a temporary file without a name, or a file that outlives
+//! the process.
 //!
 //! Chunks may come in any order and from any thread; each is found again by what [`Spill::put`] returned, so nothing that
-//! is written later depends on that order. The file is gone when the last of them is, also after a crash.
+//! is written later depends on that order. A file without a name is gone when the last of them is, also after a crash; in
+//! one with a name, chunks are found again by their [`SpillPlace`].
 
 use crate::error::{ArchiveError, Fault};
 use std::borrow::Cow;
@@ -10,6 +12,7 @@ use std::fs::File;
 use std::io::{Read, Result, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use xxhash_rust::xxh3::xxh3_64;
 
 /// Where chunks wait. Clones share the room.
 #[derive(Clone, Debug, Default)]
@@ -31,27 +34,62 @@ pub struct ChunkBytes(Place);
 #[derive(Clone, Debug)]
 enum Place {
     Held(Vec<u8>),
-    Spilled { file: Arc<SpillFile>, offset: u64, length: usize },
+    Spilled { file: Arc<SpillFile>, place: SpillPlace },
+}
+
+/// Where the bytes of a chunk lie in the file of a [`Spill`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct SpillPlace {
+    offset: u64,
+    length: u64,
+    /// XXH3 of the bytes.
+    hash: u64,
 }
 
 impl Spill {
     /// Chunks wait in memory.
-    pub fn in_memory() -> Spill {
-        Spill::default()
+    pub const fn in_memory() -> Spill {
+        Spill { file: None }
     }
 
     /// Chunks wait in a new file in `folder`.
     pub fn in_folder(folder: &Path) -> std::result::Result<Spill, ArchiveError> {
         let file = tempfile::tempfile_in(folder).map_err(|source| no_room(folder, source))?;
-        let inner = Mutex::new((file, 0));
-        Ok(Spill { file: Some(Arc::new(SpillFile { folder: folder.to_owned(), inner })) })
+        Ok(Spill::over(folder, file, 0))
+    }
+
+    /// Chunks wait in this file, behind what is in it already; it stays when the process ends.
+    pub fn in_file(path: &Path) -> std::result::Result<Spill, ArchiveError> {
+        let folder = path.parent().unwrap_or(path);
+        let open = || {
+            let file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
+            let end = file.metadata()?.len();
+            Ok((file, end))
+        };
+        let (file, end) = open().map_err(|source| no_room(folder, source))?;
+        Ok(Spill::over(folder, file, end))
+    }
+
+    fn over(folder: &Path, file: File, end: u64) -> Spill {
+        Spill { file: Some(Arc::new(SpillFile { folder: folder.to_owned(), inner: Mutex::new((file, end)) })) }
     }
 
     /// Takes a chunk in.
     pub fn put(&self, bytes: Vec<u8>) -> std::result::Result<ChunkBytes, ArchiveError> {
         let Some(file) = &self.file else { return Ok(bytes.into()) };
         let offset = file.append(&bytes).map_err(|source| no_room(&file.folder, source))?;
-        Ok(ChunkBytes(Place::Spilled { file: file.clone(), offset, length: bytes.len() }))
+        let place = SpillPlace { offset, length: bytes.len() as u64, hash: xxh3_64(&bytes) };
+        Ok(ChunkBytes(Place::Spilled { file: file.clone(), place }))
+    }
+
+    /// A chunk that an earlier process put into the same file; `None` where its bytes are not there any more.
+    pub fn find(&self, place: SpillPlace) -> Option<ChunkBytes> {
+        let file = self.file.as_ref()?;
+        let end = file.inner.lock().unwrap_or_else(PoisonError::into_inner).1;
+        let is_inside = place.offset.checked_add(place.length).is_some_and(|last| last <= end);
+        let whole = is_inside && file.read(place).is_ok_and(|bytes| xxh3_64(&bytes) == place.hash);
+        whole.then(|| ChunkBytes(Place::Spilled { file: file.clone(), place }))
     }
 }
 
@@ -67,10 +105,10 @@ impl SpillFile {
         Ok(offset)
     }
 
-    fn read(&self, offset: u64, length: usize) -> Result<Vec<u8>> {
+    fn read(&self, place: SpillPlace) -> Result<Vec<u8>> {
         let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut bytes = vec![0; length];
-        inner.0.seek(SeekFrom::Start(offset))?;
+        let mut bytes = vec![0; place.length as usize];
+        inner.0.seek(SeekFrom::Start(place.offset))?;
         inner.0.read_exact(&mut bytes)?;
         Ok(bytes)
     }
@@ -91,7 +129,7 @@ impl ChunkBytes {
     pub fn len(&self) -> usize {
         match &self.0 {
             Place::Held(bytes) => bytes.len(),
-            Place::Spilled { length, .. } => *length,
+            Place::Spilled { place, .. } => place.length as usize,
         }
     }
 
@@ -100,12 +138,20 @@ impl ChunkBytes {
         self.len() == 0
     }
 
+    /// Where it lies in the file of its [`Spill`]; `None` in memory.
+    pub fn place(&self) -> Option<SpillPlace> {
+        match &self.0 {
+            Place::Held(_) => None,
+            Place::Spilled { place, .. } => Some(*place),
+        }
+    }
+
     /// The bytes themselves, read from the file where they are there.
     pub fn read(&self) -> std::result::Result<Cow<'_, [u8]>, ArchiveError> {
         match &self.0 {
             Place::Held(bytes) => Ok(Cow::Borrowed(bytes)),
-            Place::Spilled { file, offset, length } => {
-                let bytes = file.read(*offset, *length).map_err(|source| no_room(&file.folder, source))?;
+            Place::Spilled { file, place } => {
+                let bytes = file.read(*place).map_err(|source| no_room(&file.folder, source))?;
                 Ok(Cow::Owned(bytes))
             }
         }
@@ -146,6 +192,19 @@ mod tests {
         let spill = Spill::in_folder(folder.path()).unwrap();
         let _chunk = spill.put(vec![1; 100]).unwrap();
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn chunks_in_a_file_with_a_name_are_found_again_unless_they_are_damaged() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("chunks");
+        let put = |bytes: &[u8]| Spill::in_file(&path).unwrap().put(bytes.to_vec()).unwrap().place().unwrap();
+        let places = [put(b"first"), put(b"second")];
+        let found = |place| Spill::in_file(&path).unwrap().find(place).map(|c| c.read().unwrap().into_owned());
+        assert_eq!(places.map(found), [Some(b"first".to_vec()), Some(b"second".to_vec())]);
+        std::fs::write(&path, b"f1rstsecon").unwrap();
+        assert_eq!(places.map(found), [None, None], "one changed, one cut");
+        assert_eq!(Spill::in_memory().put(vec![1]).unwrap().place(), None);
     }
 
     #[test]

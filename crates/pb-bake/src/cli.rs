@@ -19,12 +19,13 @@ const EXAMPLES: &str = "\
 Examples:
   pb-bake statue.ply statue.pb            bake a scan with the usual five levels
   pb-bake hull.stl deck.glb ship.pb       several files, one scene
+  pb-bake city.ply city.pb --resume       go on after Ctrl-C or a crash
   pb-bake inspect statue.pb               what is in an archive
   pb-bake verify statue.pb                check every byte and every promise of an archive
   pb-bake export statue.pb s.ply --level 2    one level as a mesh for other programs
   pb-bake doctor                          what pb-bake finds on this machine
 
-Exit codes: 0 done, 1 the input or the archive is at fault, 2 the command line or the machine is.";
+Exit codes: 0 done, 1 the input or the archive is at fault, 2 the command line or the machine is, 130 interrupted.";
 
 /// The whole command line.
 #[derive(Parser)]
@@ -110,6 +111,9 @@ pub struct BakeArgs {
     /// Folder for temporary files: images, texture chunks, what exceeds --memory; that of the archive unless given
     #[arg(long, value_name = "DIR")]
     pub temp_dir: Option<PathBuf>,
+    /// Go on where a bake of the same archive was cut short, if inputs and options are the same; else begin anew
+    #[arg(long)]
+    pub resume: bool,
     /// Replace an existing file even if it is not an archive
     #[arg(long)]
     pub force: bool,
@@ -131,7 +135,7 @@ pub struct BakeArgs {
 }
 
 /// How missing normals are made.
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum Normals {
     /// By the triangle's angle at the vertex
     Angle,

@@ -24,6 +24,11 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(self.blame as u8)
     }
+
+    /// Nothing but another input will do.
+    pub fn is_of_input(&self) -> bool {
+        self.blame == Blame::Input
+    }
 }
 
 impl Display for Failure {

@@ -1,12 +1,14 @@
 //! pb-bake: turns meshes into Progressive Buffers archives, and looks into archives.
 //!
 //! This file is the order of events and the exit codes: 0 done, 1 the input or archive is at fault, 2 the usage or the
-//! machine is. Everything that can refuse the target is asked before the work begins.
+//! machine is, 130 it was interrupted. Everything that can refuse the target is asked before the work begins.
 
 mod cli;
 mod doctor;
 mod failure;
 mod inspect;
+mod interrupt;
+mod job;
 mod progress;
 mod report;
 mod room;
@@ -16,7 +18,8 @@ mod texturing;
 use clap::Parser;
 use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
-use pb_archive::{Overwrite, Writer};
+use job::Job;
+use pb_archive::{FileStorage, Overwrite, Writer};
 use pb_bake::memory::{Bound, Memory};
 use pb_bake::traces;
 use pb_lod::progressive_buffers::bake::{BakeError, Stage};
@@ -59,31 +62,55 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     let overwrite = if args.force { Overwrite::Force } else { Overwrite::IfArchive };
     let writer = Writer::create(output, SCHEME, overwrite).map_err(blame_machine)?;
     writer.temporary().into_iter().for_each(traces::add);
-    let bound = room::bound_memory(args)?;
-
+    interrupt::install()?;
+    let (bound, keeps) = room::bound_memory(args)?;
     let progress = Progress::new(Mode::of(args.quiet));
-    let mut scene = scene::load(args, &progress)?;
+    let mut job = Job::open(args, keeps, &progress)?;
+    match bake_into(writer, args, &mut job, &progress) {
+        Ok(summary) => {
+            let resumed = job.resumed();
+            job.remove();
+            let summary = summary.with_stages(progress.finish(), &resumed);
+            let summary = summary.with_memory(args.memory_bytes(), bound.as_ref().map(Bound::usage));
+            match (args.json, args.quiet) {
+                (true, _) => report::print_json(&summary),
+                (false, true) => Ok(()),
+                (false, false) => report::print_text(&summary.text()),
+            }
+        }
+        Err(failure) if failure.is_of_input() => {
+            job.remove();
+            Err(failure)
+        }
+        Err(failure) => Err(match job.keep() {
+            Some(advice) => blame_machine(format!("{failure}; {advice}")),
+            None => failure,
+        }),
+    }
+}
+
+fn bake_into(
+    writer: Writer<FileStorage>,
+    args: &BakeArgs,
+    job: &mut Job,
+    progress: &Progress,
+) -> Result<BakeSummary, Failure> {
+    let mut scene = scene::load(args, job, progress)?;
     let show = |stage, share| {
         progress.stage(stage_name(stage));
         progress.share(share);
     };
-    let (model, baked, helper) = texturing::bake_scene(args, &mut scene, &progress, &show).map_err(|e| match e {
-        BakeError::TooLarge(_) => blame_input(e),
-        e => blame_machine(e),
-    })?;
+    let (model, baked, helper) =
+        texturing::bake_scene(args, &mut scene, job, progress, &show).map_err(|e| match e {
+            BakeError::TooLarge(_) => blame_input(e),
+            e => blame_machine(e),
+        })?;
     let Scene { inputs, repairs, textures, .. } = scene;
     progress.stage("write");
     let bytes = write_model(writer, &model).map_err(blame_machine)?;
-
-    let summary = BakeSummary::new(output, bytes, &model, &baked, progress.finish())
-        .with_memory(args.memory_bytes(), bound.as_ref().map(Bound::usage));
+    let output = args.output.as_ref().expect("the command line demands it");
     let textures = textures.map(|t| t.with_bake(&model, &baked, helper));
-    let summary = summary.with_input(&inputs, &repairs, textures);
-    match (args.json, args.quiet) {
-        (true, _) => report::print_json(&summary),
-        (false, true) => Ok(()),
-        (false, false) => report::print_text(&summary.text()),
-    }
+    Ok(BakeSummary::new(output, bytes, &model, &baked).with_input(&inputs, &repairs, textures))
 }
 
 /// Guards against `pb-bake a.obj b.obj`, where somebody forgot the archive's name.

@@ -228,6 +228,8 @@ pub struct BakeSummary {
     textures: Option<TextureSummary>,
     stages: Vec<StageSummary>,
     seconds: f64,
+    /// Steps that a bake before had finished, at least in parts.
+    resumed: Vec<&'static str>,
     peak_memory_bytes: Option<u64>,
     memory_bound_bytes: Option<u64>,
     /// Most bytes of temporary files that stood in for memory.
@@ -236,7 +238,7 @@ pub struct BakeSummary {
 
 impl BakeSummary {
     /// What the bake itself knows.
-    pub fn new(output: &Path, bytes: u64, model: &BakedModel, baked: &BakeReport, stages: Vec<StageTime>) -> Self {
+    pub fn new(output: &Path, bytes: u64, model: &BakedModel, baked: &BakeReport) -> Self {
         let stored = |level: usize| LevelBytes::new(model.chunks.iter().map(|c| c.bytes.len()), level, &model.record);
         let acmr = |level: usize| baked.acmr.get(level).copied().unwrap_or(0.0) as f64;
         let levels = model.model_levels.iter().enumerate();
@@ -252,12 +254,25 @@ impl BakeSummary {
             repairs: Repairs { nonmanifold_positions_locked: baked.non_manifold_positions, ..Repairs::default() },
             inputs: Vec::new(),
             textures: None,
-            seconds: stages.iter().map(|s| s.seconds).sum(),
-            stages: stages.iter().map(|s| StageSummary::new(s, model.record.triangles_in)).collect(),
+            stages: Vec::new(),
+            seconds: 0.0,
+            resumed: Vec::new(),
             peak_memory_bytes: peak_memory_bytes(),
             memory_bound_bytes: None,
             spilled_bytes: 0,
         }
+    }
+
+    /// Adds how long it took, and what was there already from a bake that was cut short.
+    pub fn with_stages(mut self, stages: Vec<StageTime>, resumed: &[&'static str]) -> Self {
+        self.seconds = stages.iter().map(|s| s.seconds).sum();
+        let summary = |stage: &StageTime| StageSummary {
+            texel_rate: self.textures.as_ref().and_then(|t| Some(rate(t.texels_of(stage.name)?, stage.seconds))),
+            ..StageSummary::new(stage, self.triangles_in)
+        };
+        self.stages = stages.iter().map(summary).collect();
+        self.resumed = resumed.to_vec();
+        self
     }
 
     /// Adds the bound on memory, and what lay beyond it.
@@ -283,11 +298,6 @@ impl BakeSummary {
             warnings: i.warnings.clone(),
         };
         self.inputs = inputs.iter().map(input).collect();
-        if let Some(textures) = &textures {
-            for stage in &mut self.stages {
-                stage.texel_rate = textures.texels_of(stage.name).map(|texels| rate(texels, stage.seconds));
-            }
-        }
         self.textures = textures;
         self.repairs = Repairs {
             polygons_triangulated: repairs.polygons_triangulated,
@@ -318,6 +328,9 @@ impl BakeSummary {
         }
         if let Some(textures) = &self.textures {
             let _ = writeln!(text, "{}", textures.text());
+        }
+        if !self.resumed.is_empty() {
+            let _ = writeln!(text, "resumed: {} were there", self.resumed.join(", "));
         }
         let all = rate(self.triangles_in, self.seconds);
         let _ = writeln!(text, "time: {:.2} s, {all:.3} M triangles/s", self.seconds);

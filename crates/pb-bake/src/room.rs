@@ -14,16 +14,21 @@ const BINARY_PLY: u64 = 9;
 const GLTF: u64 = 9;
 const TEXT: u64 = 3;
 
-/// Bounds the memory of this bake, where that can be done on this system.
+/// What is kept for a resumption takes about this share of what a bake holds at its peak.
+const KEPT_SHARE: f64 = 0.3;
+
+/// Bounds the memory of this bake, where that can be done on this system. Also: has the disk room for what a bake could be
+/// resumed from?
 ///
 /// # Errors
 /// No temporary file can be made, or the disk has no room for what is going to be in it.
-pub fn bound_memory(args: &BakeArgs) -> Result<Option<Bound>, Failure> {
-    let Some(memory) = args.memory_bytes() else { return Ok(None) };
+pub fn bound_memory(args: &BakeArgs) -> Result<(Option<Bound>, bool), Failure> {
+    let Some(memory) = args.memory_bytes() else { return Ok((None, true)) };
     let folder = args.temp_folder();
     let held: u64 = args.inputs.iter().map(|input| working_bytes(input)).sum();
     let beyond = held.saturating_sub((memory as f64 * ANONYMOUS_SHARE) as u64);
-    if let Some(free) = free_bytes(folder).filter(|free| *free < beyond) {
+    let free = free_bytes(folder);
+    if let Some(free) = free.filter(|free| *free < beyond) {
         return Err(blame_machine(format!(
             "{}: about {} of temporary files are going to be needed, and {} are free; name a folder with more room with \
              --temp-dir, or allow more memory than {} with --memory",
@@ -33,8 +38,9 @@ pub fn bound_memory(args: &BakeArgs) -> Result<Option<Bound>, Failure> {
             ByteSize(memory),
         )));
     }
+    let keeps = free.is_none_or(|free| free - beyond >= (held as f64 * KEPT_SHARE) as u64);
     let bound = Bound::new(memory, folder);
-    bound.map(Some).map_err(|e| {
+    bound.map(|bound| (Some(bound), keeps)).map_err(|e| {
         blame_machine(format!(
             "{}: cannot hold temporary files: {e}; name another folder with --temp-dir",
             folder.display()

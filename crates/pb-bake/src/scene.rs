@@ -2,6 +2,7 @@
 
 use crate::cli::BakeArgs;
 use crate::failure::{Failure, blame_input, blame_machine};
+use crate::job::Job;
 use crate::progress::Progress;
 use pb_bake::images::{ImageError, ImageSource, decode_all};
 use pb_bake::import::{self, InputReport};
@@ -116,29 +117,48 @@ impl TextureSummary {
     }
 }
 
-/// Reads, decodes and repairs. Says what was odd on the way.
-pub fn load(args: &BakeArgs, progress: &Progress) -> Result<Scene, Failure> {
+/// Reads, decodes and repairs, or takes what the job has kept of that. Says what was odd on the way.
+pub fn load(args: &BakeArgs, job: &mut Job, progress: &Progress) -> Result<Scene, Failure> {
+    progress.stage("read");
+    let mut scene = match job.load_scene() {
+        Some(scene) => scene,
+        None => {
+            let scene = read(args, progress)?;
+            if scene.textures.is_none() {
+                job.save_scene(&scene);
+            }
+            scene
+        }
+    };
+    if scene.textures.is_some() && !job.is_same_scene(&scene) {
+        progress.note("the images have changed since the bake was cut short; it begins anew");
+        job.clear();
+    }
+    if args.normal_map && scene.mesh.texturing.is_none() {
+        scene.mesh.texturing = Some(Texturing::plain(scene.mesh.triangles.len()));
+        scene.textures.get_or_insert_default();
+    }
+    Ok(scene)
+}
+
+fn read(args: &BakeArgs, progress: &Progress) -> Result<Scene, Failure> {
     if let Some(texture) = args.texture.as_ref().filter(|path| !path.is_file()) {
         return Err(blame_machine(format!("--texture {}: there is no such file; check the name", texture.display())));
     }
-    progress.stage("read");
     let read = |p: import::ImportProgress| progress.share(p.inputs_done as f32 / p.input_count as f32);
     let import = import::load(&args.inputs, &args.import_options(), &read).map_err(blame_input)?;
     for (input, warning) in import.inputs.iter().flat_map(|i| i.warnings.iter().map(move |w| (i, w))) {
         progress.note(&format!("warning: {}: {warning}", input.path.display()));
     }
     let (images, textures) = match import.images.is_empty() {
-        true => (Vec::new(), args.normal_map.then(TextureSummary::default)),
+        true => (Vec::new(), None),
         false => decode(&import.images, args, progress).map(|(images, summary)| (images, Some(summary)))?,
     };
     progress.stage("repair");
-    let (mut mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
+    let (mesh, repairs) = repair(import.soup, &args.repair_options()).map_err(|e| match e {
         MeshError::BadTolerance { .. } => blame_machine(e),
         e => blame_input(e),
     })?;
-    if args.normal_map && mesh.texturing.is_none() {
-        mesh.texturing = Some(Texturing::plain(mesh.triangles.len()));
-    }
     Ok(Scene { mesh, materials: import.materials, images, inputs: import.inputs, repairs, textures })
 }
 

@@ -1,12 +1,12 @@
 //! How the images of a scene go into the archive: charts, also those of the xatlas helper, and texels.
 
 use crate::cli::{BakeArgs, ChartsFrom, TexelFormat, TextureQuality};
+use crate::job::Job;
 use crate::progress::Progress;
 use crate::scene::Scene;
-use pb_archive::Spill;
 use pb_bake::xatlas::{Helper, HelperCharts, HelperSummary, Pool};
 use pb_lod::progressive_buffers::bake::{
-    BakeError, BakeReport, ChartMode, ChartOptions, Stage, TexelOptions, TextureInput, bake_textured,
+    BakeError, BakeReport, ChartMode, ChartOptions, Outside, Stage, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::charts::ClusterSurface;
@@ -18,11 +18,12 @@ use std::time::Duration;
 pub fn bake_scene(
     args: &BakeArgs,
     scene: &mut Scene,
+    job: &Job,
     progress: &Progress,
     show: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport, Option<HelperSummary>), BakeError> {
     let mesh = std::mem::take(&mut scene.mesh);
-    let spill = Spill::in_folder(args.temp_folder())?;
+    let spill = job.spill(args)?;
     let images: Vec<Option<Image>> = scene.images.iter().cloned().map(Some).collect();
     let wanted = args.charts == Some(ChartsFrom::Xatlas) && mesh.texturing.is_some();
     let pool = || Helper::find(args.xatlas_helper.as_deref()).and_then(Pool::new);
@@ -50,10 +51,10 @@ pub fn bake_scene(
             compress: args.texture_format == TexelFormat::Bc,
             normal_space: if args.normal_map { NormalSpace::Object } else { NormalSpace::Tangent },
         },
-        spill: &spill,
     };
+    let outside = Outside { progress: show, spill: &spill, checkpoints: job };
     let triangles_in = scene.repairs.triangles_in;
-    let baked = bake_textured(mesh, Some(&textures), triangles_in, &args.bake_options(), show);
+    let baked = bake_textured(mesh, Some(&textures), triangles_in, &args.bake_options(), &outside);
     let (model, report) = baked?;
     let helper = helper.map(HelperCharts::summary);
     for fault in helper.iter().flat_map(|h| &h.faults) {

@@ -2,7 +2,7 @@
 
 use pb_archive::Spill;
 use pb_lod::progressive_buffers::bake::{
-    BakeOptions, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
+    BakeOptions, ChartMode, ChartOptions, Outside, TexelOptions, TextureInput, bake_textured,
 };
 use pb_mesh::material::{Material, Slot, TextureRef};
 use pb_mesh::mesh::{Mesh, Soup};
@@ -62,12 +62,12 @@ fn bake(across: u32, spill: &Spill) -> (usize, usize) {
         images: &[Some(image)],
         charts: ChartOptions { mode: ChartMode::Source, tile_size: 512, charter: None },
         texels: TexelOptions { compress: false, ..TexelOptions::default() },
-        spill,
     };
     let options = BakeOptions { cluster_triangles: 128, ..BakeOptions::default() };
     // On one thread: each more would have a tile at work.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
-    let work = || bake_textured(mesh, Some(&textures), 0, &options, &|_, _| {}).expect("options in range").0;
+    let outside = Outside { spill, ..Outside::nothing() };
+    let work = || bake_textured(mesh, Some(&textures), 0, &options, &outside).expect("options in range").0;
     let (peak, model) = peak_of(|| pool.install(work));
     let geometry = (model.record.clusters * model.record.levels) as usize;
     (model.chunks[geometry..].iter().map(|c| c.bytes.len()).sum(), peak)

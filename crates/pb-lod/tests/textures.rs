@@ -4,9 +4,9 @@ mod common;
 
 use common::Random;
 use glam::DVec3;
-use pb_archive::{MemoryStorage, Spill, Writer};
+use pb_archive::{MemoryStorage, Writer};
 use pb_lod::progressive_buffers::bake::{
-    BakeOptions, BakeReport, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
+    BakeOptions, BakeReport, ChartMode, ChartOptions, Outside, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::layout::{SCHEME, Vertex};
 use pb_lod::progressive_buffers::model::Model;
@@ -80,10 +80,10 @@ fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) ->
         images: &[Some(image)],
         charts: ChartOptions { mode, tile_size: 512, charter: None },
         texels: TexelOptions::default(),
-        spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles, ..BakeOptions::default() };
-    let (model, report) = bake_textured(mesh, Some(&textures), count, &options, &|_, _| {}).expect("options in range");
+    let (model, report) =
+        bake_textured(mesh, Some(&textures), count, &options, &Outside::nothing()).expect("options in range");
     (opened(&model), report)
 }
 
@@ -106,10 +106,9 @@ fn baked_with_normals(mut soup: Soup, paint: Option<[u8; 4]>) -> Model {
         images: &[],
         charts: ChartOptions { mode: ChartMode::Best, tile_size: 4096, charter: None },
         texels: TexelOptions { normal_space: NormalSpace::Object, ..TexelOptions::default() },
-        spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles: 4096, ..BakeOptions::default() };
-    let baked = bake_textured(mesh, Some(&textures), count as u64, &options, &|_, _| {});
+    let baked = bake_textured(mesh, Some(&textures), count as u64, &options, &Outside::nothing());
     opened(&baked.expect("options in range").0)
 }
 

@@ -1,6 +1,6 @@
 //! Nearest points of triangles and segments.
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 
 /// Point of triangle `t` nearest to `p`.
 pub(crate) fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
@@ -60,6 +60,63 @@ impl Facet {
     }
 }
 
+/// Answers of [`closest_of_four`], one lane each.
+pub(crate) struct FourNearest {
+    offset: [Vec4; 3],
+    corners: Vec4,
+    /// Squared distances.
+    pub squares: Vec4,
+}
+
+impl FourNearest {
+    /// What [`Facet::closest`] says of one of them.
+    pub fn lane(&self, lane: usize) -> (Vec3, u8) {
+        (Vec3::from_array(self.offset.map(|x| x[lane])), self.corners[lane] as u8)
+    }
+}
+
+/// [`Facet::closest`] for four triangles and as many points, each from its triangle's first corner. The same numbers, bit
+/// by bit, without a branch: each case of the scalar rule is a mask, and the first that holds is laid over the others.
+pub(crate) fn closest_of_four(facets: [&Facet; 4], points: [Vec3; 4]) -> FourNearest {
+    let lanes = |of: &dyn Fn(usize) -> f32| Vec4::new(of(0), of(1), of(2), of(3));
+    let vectors = |of: &dyn Fn(usize) -> Vec3| [0, 1, 2].map(|k| lanes(&|l| of(l)[k]));
+    let (ab, ac, p) = (vectors(&|l| facets[l].ab), vectors(&|l| facets[l].ac), vectors(&|l| points[l]));
+    let [bb, bc, cc] = [0, 1, 2].map(|k| lanes(&|l| facets[l].dots[k]));
+    let dot = |u: [Vec4; 3], v: [Vec4; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+    let (zero, one, tiny) = (Vec4::ZERO, Vec4::ONE, Vec4::splat(f32::MIN_POSITIVE));
+    let (d1, d2) = (dot(ab, p), dot(ac, p));
+    let (d3, d4) = (d1 - bb, d2 - bc);
+    let (d5, d6) = (d1 - bc, d2 - cc);
+    let (vc, vb, va) = (d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4);
+    let at_a = d1.cmple(zero) & d2.cmple(zero);
+    let at_b = d3.cmpge(zero) & d4.cmple(d3);
+    let on_ab = vc.cmple(zero) & d1.cmpge(zero) & d3.cmple(zero);
+    let at_c = d6.cmpge(zero) & d5.cmple(d6);
+    let on_ac = vb.cmple(zero) & d2.cmpge(zero) & d6.cmple(zero);
+    let on_bc = va.cmple(zero) & (d4 - d3).cmpge(zero) & (d5 - d6).cmpge(zero);
+    let denominator = one / (va + vb + vc);
+    let along_bc = (d4 - d3) / ((d4 - d3) + (d5 - d6)).max(tiny);
+    // Shares of the two edges, and the corners' bits; the case that counts most is laid on last.
+    let (mut s, mut t, mut corners) = (vb * denominator, vc * denominator, Vec4::splat(7.0));
+    let cases = [
+        (on_bc, zero, zero, 6.0),
+        (on_ac, zero, d2 / (d2 - d6).max(tiny), 5.0),
+        (at_c, zero, one, 4.0),
+        (on_ab, d1 / (d1 - d3).max(tiny), zero, 3.0),
+        (at_b, one, zero, 2.0),
+        (at_a, zero, zero, 1.0),
+    ];
+    for (case, s_there, t_there, bits) in cases {
+        s = Vec4::select(case, s_there, s);
+        t = Vec4::select(case, t_there, t);
+        corners = Vec4::select(case, Vec4::splat(bits), corners);
+    }
+    let only_bc = corners.cmpeq(Vec4::splat(6.0));
+    let offset = [0, 1, 2].map(|k| Vec4::select(only_bc, ab[k] + (ac[k] - ab[k]) * along_bc, ab[k] * s + ac[k] * t));
+    let away = [0, 1, 2].map(|k| offset[k] - p[k]);
+    FourNearest { offset, corners, squares: dot(away, away) }
+}
+
 pub(crate) fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {
     let d = b - a;
     let l = d.length_squared();
@@ -105,4 +162,31 @@ pub(crate) fn closest_in_uv(p: Vec2, t: [Vec2; 3]) -> ([f32; 3], f32) {
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Whole numbers, so that points lie on corners, on edges and in triangles without area often.
+    fn point() -> impl Strategy<Value = Vec3> {
+        [-4i32..=4, -4i32..=4, -2i32..=2].prop_map(|p| Vec3::from_array(p.map(|x| x as f32)))
+    }
+
+    proptest! {
+        #[test]
+        fn four_triangles_at_once_give_what_each_gives_alone(
+            corners in prop::array::uniform8(point()), points in prop::array::uniform4(point()),
+        ) {
+            let facets: [Facet; 4] = std::array::from_fn(|k| Facet::new(corners[2 * k], corners[2 * k + 1]));
+            let four = closest_of_four(facets.each_ref(), points);
+            for k in 0..4 {
+                let (offset, bits) = facets[k].closest(points[k]);
+                let (found, found_bits) = four.lane(k);
+                prop_assert_eq!((offset, bits), (found, found_bits));
+                prop_assert_eq!(offset.distance_squared(points[k]), four.squares[k]);
+            }
+        }
+    }
 }

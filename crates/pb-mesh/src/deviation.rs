@@ -14,8 +14,8 @@ mod texture;
 
 pub use texture::{TextureDeviation, texture_deviation};
 
-use crate::closest::{Facet, closest_on_segment, closest_on_triangle, height_over, segment_distance};
-use crate::topology::Fans;
+use crate::closest::{Facet, closest_of_four, closest_on_segment, closest_on_triangle, height_over, segment_distance};
+use crate::topology::{Fans, group};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
@@ -55,6 +55,8 @@ pub struct LevelPair<'a> {
     pub cluster_of: &'a [u32],
     /// Coarse triangles over the same positions.
     pub coarse: &'a [[u32; 3]],
+    /// Coarse triangles around positions.
+    pub fans: &'a Fans,
     /// Cluster of each coarse triangle.
     pub coarse_cluster_of: &'a [u32],
     /// What each position collapsed into at this level.
@@ -92,13 +94,12 @@ struct Nearest {
 
 /// Measures one level. `clusters` is the number of clusters.
 pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
-    let fans = Fans::new(pair.positions.len(), pair.coarse);
     let facet = |t: &[u32; 3]| {
         let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
         (t[0], Facet::new(b, c))
     };
     let facets: Vec<(u32, Facet)> = pair.coarse.par_iter().map(facet).collect();
-    let field = Field { pair, fans: &fans, facets: &facets };
+    let field = Field { pair, fans: pair.fans, facets: &facets };
     let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
     let large = root_mean_square(&nearest) * LARGE;
@@ -108,31 +109,37 @@ pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
         let better = field.walk_on(v as u32, from);
         *n = (better.distance, better.triangle);
     });
-    let jobs = jobs(pair, &nearest, clusters);
-    let mut max: Vec<f32> = jobs.par_iter().map(|list| field.cluster_bound(list, &nearest)).collect();
-    let back = field.sampled_back(&max, &jobs);
+    let (starts, own) = group(clusters, pair.cluster_of.as_chunks::<1>().0);
+    let own = |c: usize| &own[starts[c] as usize..starts[c + 1] as usize];
+    let shares: Vec<Share> = (0..clusters).into_par_iter().map(|c| field.share(c as u32, own(c), &nearest)).collect();
+    let others = foreign(&shares);
+    let mut max: Vec<f32> =
+        (0..clusters).into_par_iter().map(|c| field.cluster_bound(&shares[c], &others[c], &nearest)).collect();
+    let all = |c: u32| own(c as usize).iter().chain(&others[c as usize]);
+    let back = field.sampled_back(&max, &all);
     back.into_iter().zip(pair.coarse_cluster_of).for_each(|(d, &c)| max[c as usize] = max[c as usize].max(d));
-    Deviation { max, squares: squares(pair, &nearest) }
+    let squares = shares.iter().fold((0.0, 0.0), |sum, s| (sum.0 + s.squares.0, sum.1 + s.squares.1));
+    Deviation { max, squares }
 }
 
-/// The input triangles that each cluster's bound covers: its own, and those of others that map onto it.
-fn jobs(pair: &LevelPair, nearest: &[(f32, u32)], clusters: usize) -> Vec<Vec<u32>> {
-    let mut sizes = vec![0; clusters];
-    pair.cluster_of.iter().for_each(|&own| sizes[own as usize] += 1);
-    let mut list: Vec<Vec<u32>> = sizes.into_iter().map(Vec::with_capacity).collect();
-    pair.cluster_of.iter().enumerate().for_each(|(i, &own)| list[own as usize].push(i as u32));
-    let abroad = |i: usize| {
-        let own = pair.cluster_of[i];
-        let on = pair.triangles[i].map(|v| match nearest[v as usize] {
-            (distance, on) if distance > 0.0 && on != NONE => pair.coarse_cluster_of[on as usize],
-            _ => own,
-        });
-        (0..3).filter(move |&k| on[k] != own && !on[..k].contains(&on[k])).map(move |k| (on[k], i as u32))
-    };
-    let block = |b: usize| (b * BLOCK..pair.triangles.len().min((b + 1) * BLOCK)).flat_map(abroad).collect();
-    let others: Vec<Vec<(u32, u32)>> = (0..pair.triangles.len().div_ceil(BLOCK)).into_par_iter().map(block).collect();
-    others.into_iter().flatten().for_each(|(c, i)| list[c as usize].push(i));
-    list
+/// What one look at the input triangles of a cluster tells.
+struct Share {
+    /// Largest distance of a corner.
+    floor: f32,
+    /// Triangles that [`Field::whole`] may find a part in: the others' corners are too near, see [`PLAUSIBLE`].
+    candidates: Vec<u32>,
+    /// Those that map onto other clusters also, each with that cluster.
+    abroad: Vec<(u32, u32)>,
+    /// Area-weighted sum of squared distances, and the area.
+    squares: (f64, f64),
+}
+
+/// The input triangles of other clusters that map onto each cluster, ascending.
+fn foreign(shares: &[Share]) -> Vec<Vec<u32>> {
+    let mut lists = vec![Vec::new(); shares.len()];
+    shares.iter().flat_map(|s| &s.abroad).for_each(|&(c, t)| lists[c as usize].push(t));
+    lists.par_iter_mut().for_each(|list| list.sort_unstable());
+    lists
 }
 
 /// Over positions.
@@ -140,23 +147,6 @@ fn root_mean_square(nearest: &[(f32, u32)]) -> f32 {
     let block = |b: &[(f32, u32)]| b.iter().map(|n| f64::from(n.0 * n.0)).sum::<f64>();
     let sums: Vec<f64> = nearest.par_chunks(BLOCK).map(block).collect();
     (sums.iter().sum::<f64>() / nearest.len() as f64).sqrt() as f32
-}
-
-/// Fixed blocks keep the order of the sums the same on any number of threads.
-fn squares(pair: &LevelPair, nearest: &[(f32, u32)]) -> (f64, f64) {
-    let parts: Vec<(f64, f64)> = pair
-        .triangles
-        .par_chunks(BLOCK)
-        .map(|block| {
-            block.iter().fold((0.0, 0.0), |sum, t| {
-                let [a, b, c] = t.map(|v| relative(pair.positions, t[0], v));
-                let area = f64::from((b - a).cross(c - a).length()) * 0.5;
-                let mean = t.iter().map(|&v| f64::from(nearest[v as usize].0).powi(2)).sum::<f64>() / 3.0;
-                (sum.0 + mean * area, sum.1 + area)
-            })
-        })
-        .collect();
-    parts.into_iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1))
 }
 
 /// Position of `v` relative to position `origin`, quanta: the difference is exact before it is rounded. The grid spans
@@ -228,15 +218,19 @@ impl Field<'_> {
         Mapped { at: best.at, image: best.image, distance: best.square.min(square).sqrt(), triangle: best.triangle }
     }
 
+    /// Looks for a nearer point on these triangles, four at a time.
     fn improve(&self, origin: u32, triangles: &[u32], best: &mut Nearest) {
-        for &t in triangles {
-            let (corner, facet) = &self.facets[t as usize];
-            let from = relative(self.pair.positions, origin, *corner);
-            let at = best.at - from;
-            let (offset, corners) = facet.closest(at);
-            let square = offset.distance_squared(at);
+        for group in triangles.chunks(4) {
+            let lane = |l: usize| &self.facets[group[l.min(group.len() - 1)] as usize];
+            let facets = [0, 1, 2, 3].map(lane);
+            let from = facets.map(|f| relative(self.pair.positions, origin, f.0));
+            let four = closest_of_four(facets.map(|f| &f.1), from.map(|corner| best.at - corner));
+            let square = four.squares.min_element();
             if square < best.square {
-                *best = Nearest { at: best.at, image: from + offset, square, triangle: t, corners };
+                let lane = (0..4).find(|&l| four.squares[l] == square).expect("the smallest is one of them");
+                let (offset, corners) = four.lane(lane);
+                let triangle = group[lane];
+                *best = Nearest { at: best.at, image: from[lane] + offset, square, triangle, corners };
             }
         }
     }
@@ -269,16 +263,46 @@ impl Field<'_> {
         if best.is_finite() { best } else { from.length() }
     }
 
-    /// Bound over the input triangles `list`: branch and bound, the part with the largest bound first.
-    fn cluster_bound(&self, list: &[u32], nearest: &[(f32, u32)]) -> f32 {
-        let mut floor = 0f32;
-        for &t in list {
-            for v in self.pair.triangles[t as usize] {
-                floor = floor.max(nearest[v as usize].0).max(self.border_distance(v));
+    /// One look at the input triangles `own` of cluster `c`.
+    fn share(&self, c: u32, own: &[u32], nearest: &[(f32, u32)]) -> Share {
+        let mut share = Share { floor: 0.0, candidates: Vec::new(), abroad: Vec::new(), squares: (0.0, 0.0) };
+        for &t in own {
+            let corners = self.pair.triangles[t as usize];
+            let images = corners.map(|v| nearest[v as usize]);
+            let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
+            share.floor = share.floor.max(most).max(self.borders_distance(corners));
+            if most >= share.floor * GOOD_ENOUGH * PLAUSIBLE {
+                share.candidates.push(t);
             }
+            let on = images.map(|(distance, on)| match on {
+                NONE => c,
+                on if distance > 0.0 => self.pair.coarse_cluster_of[on as usize],
+                _ => c,
+            });
+            (0..3).filter(|&k| on[k] != c && !on[..k].contains(&on[k])).for_each(|k| share.abroad.push((on[k], t)));
+            let edge = |k: usize| relative(self.pair.positions, corners[0], corners[k]);
+            let area = f64::from(edge(1).cross(edge(2)).length()) * 0.5;
+            let mean = images.iter().map(|i| f64::from(i.0).powi(2)).sum::<f64>() / 3.0;
+            share.squares = (share.squares.0 + mean * area, share.squares.1 + area);
         }
-        let mut parts: BinaryHeap<Part> = list
+        share
+    }
+
+    fn borders_distance(&self, t: [u32; 3]) -> f32 {
+        t.into_iter().map(|v| self.border_distance(v)).fold(0.0, f32::max)
+    }
+
+    /// Bound over the input triangles of a cluster and `others` that map onto it: branch and bound, the part with the
+    /// largest bound first.
+    fn cluster_bound(&self, share: &Share, others: &[u32], nearest: &[(f32, u32)]) -> f32 {
+        let mut floor = share.floor;
+        for t in others.iter().map(|&t| self.pair.triangles[t as usize]) {
+            floor = t.iter().map(|&v| nearest[v as usize].0).fold(floor, f32::max).max(self.borders_distance(t));
+        }
+        let mut parts: BinaryHeap<Part> = share
+            .candidates
             .iter()
+            .chain(others)
             .filter_map(|&t| self.whole(self.pair.triangles[t as usize], nearest, floor * GOOD_ENOUGH))
             .filter(|part| part.bound > floor * GOOD_ENOUGH)
             .collect();

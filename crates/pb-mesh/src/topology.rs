@@ -12,30 +12,69 @@ pub struct Fans {
 impl Fans {
     /// Counts and collects; `triangles` hold indices below `positions`.
     pub fn new(positions: usize, triangles: &[[u32; 3]]) -> Self {
-        let mut starts = vec![0u32; positions + 1];
-        for t in triangles {
-            for &v in t {
-                starts[v as usize + 1] += 1;
-            }
-        }
-        for v in 0..positions {
-            starts[v + 1] += starts[v];
-        }
-        let mut at = starts.clone();
-        let mut list = vec![0; triangles.len() * 3];
-        for (i, t) in triangles.iter().enumerate() {
-            for &v in t {
-                list[at[v as usize] as usize] = i as u32;
-                at[v as usize] += 1;
-            }
-        }
-        Fans { starts, triangles: list }
+        let (starts, triangles) = group(positions, triangles);
+        Fans { starts, triangles }
     }
 
     /// Triangles that use position `v`, ascending.
     pub fn around(&self, v: u32) -> &[u32] {
         &self.triangles[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
     }
+}
+
+/// Items whose extent is looked at together; see [`group`].
+const GROUP_BLOCK: usize = 1 << 12;
+
+/// Items by key, as one flat list: entry `k` of the first answer is where group `k` begins in the second, which holds the
+/// items that have key `k`, ascending. Keys are below `groups`.
+///
+/// Each thread fills the groups of one range. Items near each other mostly have keys near each other, so it skips most of
+/// the others' blocks; where they have not, it reads over them, which costs less than what it fills.
+pub fn group<const K: usize>(groups: usize, items: &[[u32; K]]) -> (Vec<u32>, Vec<u32>) {
+    let extent = |block: &[[u32; K]]| {
+        block.as_flattened().iter().fold((u32::MAX, 0), |(low, high), &k| (low.min(k), high.max(k)))
+    };
+    let extents: Vec<(u32, u32)> = items.par_chunks(GROUP_BLOCK).map(extent).collect();
+    let share = groups.div_ceil(rayon::current_num_threads()).max(1);
+    // Every item, by number, that has keys in `first .. first + count`.
+    let each = |first: usize, count: usize, visit: &mut dyn FnMut(usize, u32)| {
+        for (b, block) in items.chunks(GROUP_BLOCK).enumerate() {
+            let (low, high) = extents[b];
+            if (high as usize) < first || low as usize >= first + count {
+                continue;
+            }
+            for (i, keys) in block.iter().enumerate() {
+                for &k in keys {
+                    let at = (k as usize).wrapping_sub(first);
+                    if at < count {
+                        visit(at, (b * GROUP_BLOCK + i) as u32);
+                    }
+                }
+            }
+        }
+    };
+    let mut starts = vec![0u32; groups + 1];
+    starts[1..].par_chunks_mut(share).enumerate().for_each(|(job, ends)| {
+        let count = ends.len();
+        each(job * share, count, &mut |at, _| ends[at] += 1);
+    });
+    (0..groups).for_each(|k| starts[k + 1] += starts[k]);
+    let mut list = vec![0; items.len() * K];
+    let (mut rest, mut runs) = (list.as_mut_slice(), Vec::new());
+    for first in (0..groups).step_by(share) {
+        let next = groups.min(first + share);
+        let (run, after) = rest.split_at_mut((starts[next] - starts[first]) as usize);
+        runs.push((first, next, run));
+        rest = after;
+    }
+    runs.into_par_iter().for_each(|(first, next, run)| {
+        let mut at: Vec<u32> = starts[first..next].iter().map(|s| s - starts[first]).collect();
+        each(first, next - first, &mut |group, item| {
+            run[at[group] as usize] = item;
+            at[group] += 1;
+        });
+    });
+    (starts, list)
 }
 
 /// What a position may do, from the triangles around it and the clusters that those belong to (design I2).
@@ -123,5 +162,32 @@ fn kind_of_ordered(spokes: &[(u32, u32, u32)], closed: bool) -> Kind {
         (0, false) => Kind::Open,
         (2, true) => Kind::Border,
         _ => Kind::Locked,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Items with keys all over the place, and some groups that stay empty.
+    fn scattered(count: u32) -> Vec<[u32; 3]> {
+        (0..count).map(|i| [i.wrapping_mul(2_654_435_761) % 997, i % 400, 998]).collect()
+    }
+
+    #[test]
+    fn groups_hold_their_items_ascending_on_any_number_of_threads() {
+        let items = scattered(20_000);
+        let mut expected = vec![Vec::new(); 1000];
+        for (i, keys) in items.iter().enumerate() {
+            keys.iter().for_each(|&k| expected[k as usize].push(i as u32));
+        }
+        for threads in [1, 2, 7] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let (starts, list) = pool.install(|| group(1000, &items));
+            let found: Vec<Vec<u32>> = starts.windows(2).map(|w| list[w[0] as usize..w[1] as usize].to_vec()).collect();
+            assert_eq!(found, expected, "{threads} threads");
+        }
+        assert_eq!(group::<3>(0, &[]), (vec![0], vec![]));
+        assert_eq!(group::<1>(2, &[]), (vec![0, 0, 0], vec![]));
     }
 }

@@ -23,13 +23,14 @@ use pb_lod::progressive_buffers::instances::MAX_INSTANCES;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
+use serde::{Deserialize, Serialize};
 pub(crate) use source::Source;
 use std::path::{Path, PathBuf};
 
 /// Most different warnings that are kept per input.
 const MAX_WARNING_COUNT: usize = 20;
 /// The kinds of model that can be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Format {
     /// Wavefront OBJ, with the colours of its MTL.
     Obj,
@@ -80,7 +81,7 @@ pub struct ImportProgress {
 }
 
 /// What one input contributed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputReport {
     /// As given.
     pub path: PathBuf,

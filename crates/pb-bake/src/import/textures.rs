@@ -29,13 +29,13 @@ pub struct Model {
 }
 
 /// What became of meshes that stand in several places.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct InstanceCounts {
     /// Meshes that are kept once, each turned or stretched in one way.
     pub objects: u64,
     /// Their places.
     pub instances: u64,
-    /// Places of repeated meshes that are mirrored or stretched like no other, or flattened, and written out.
+    /// Places of repeated meshes that are written out: they are stretched like no other or flattened, or save few triangles.
     pub apart: u64,
 }
 

@@ -5,6 +5,7 @@ mod bake;
 #[cfg(unix)]
 mod doctor;
 mod harness;
+mod resume;
 mod shared_files;
 mod textured_export;
 mod textures;

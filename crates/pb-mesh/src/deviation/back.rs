@@ -1,6 +1,6 @@
 //! From the coarse surface back to the input, by samples.
 
-use super::{Field, GOOD_ENOUGH, UNREFINED, longest_edge, relative};
+use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, UNREFINED, longest_edge, relative};
 use crate::closest::{closest_feature, closest_on_triangle};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -28,8 +28,14 @@ enum Walk {
 
 impl Field<'_> {
     /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
-    /// where the map is torn, by a fold, coarse parts may lie outside of it.
-    pub(super) fn sampled_back(&self, floors: &[f32], jobs: &[Vec<u32>]) -> Vec<f32> {
+    /// where the map is torn, by a fold, coarse parts may lie outside of it. One answer per coarse triangle, only as
+    /// exact as it has to be: one that is not above the cluster's bound in `floors` may be any such number, 0 at least.
+    /// `covered` gives the input triangles that a cluster's bound covers.
+    pub(super) fn sampled_back<'a, I: Iterator<Item = &'a u32>>(
+        &self,
+        floors: &[f32],
+        covered: &(impl Fn(u32) -> I + Sync),
+    ) -> Vec<f32> {
         // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
         let few = self.pair.coarse.len() < FEW_TRIANGLES;
         let ratio = (self.pair.triangles.len() / self.pair.coarse.len().max(1)).max(1);
@@ -39,19 +45,24 @@ impl Field<'_> {
         let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
         let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
         let samples = |((tri, &cluster), &length): ((&[u32; 3], &u32), &f32)| {
+            let floor = floors[cluster as usize];
+            // The corners are points of the input, and no point of the triangle is further from them than this.
+            if length * FARTHEST_FROM_CORNERS * GOOD_ENOUGH <= floor && self.on_input(tri) {
+                return 0.0;
+            }
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             let steps = typical.max((typical as f32 * length / mean) as u32).min(MAX_STEPS);
-            let floor = floors[cluster as usize];
+            let enough = (floor / GOOD_ENOUGH).powi(2);
             let distance = |at: Vec3, k: usize| {
-                let quick = self.distance_back(tri, at, k, Walk::Quick) * GOOD_ENOUGH;
+                let quick = self.distance_back(tri, at, k, Walk::Quick, enough) * GOOD_ENOUGH;
                 if quick <= floor {
                     return quick;
                 }
                 let thorough =
-                    (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough)).fold(f32::INFINITY, f32::min);
+                    (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough, 0.0)).fold(f32::INFINITY, f32::min);
                 if few && thorough * GOOD_ENOUGH > floor * UNREFINED {
                     // Thin parts hold walks up.
-                    return thorough.min(self.distance_to_all(tri[0], at, &jobs[cluster as usize])) * GOOD_ENOUGH;
+                    return thorough.min(self.distance_to_all(tri[0], at, covered(cluster))) * GOOD_ENOUGH;
                 }
                 thorough * GOOD_ENOUGH
             };
@@ -72,12 +83,12 @@ impl Field<'_> {
     }
 
     /// Distance of `at`, relative to `origin`, from some triangles of the input.
-    fn distance_to_all(&self, origin: u32, at: Vec3, triangles: &[u32]) -> f32 {
+    fn distance_to_all<'a>(&self, origin: u32, at: Vec3, triangles: impl Iterator<Item = &'a u32>) -> f32 {
         let square = |&t: &u32| {
             let corners = self.pair.triangles[t as usize].map(|v| relative(self.pair.positions, origin, v));
             closest_on_triangle(at, corners).distance_squared(at)
         };
-        triangles.iter().map(square).fold(f32::INFINITY, f32::min).sqrt()
+        triangles.map(square).fold(f32::INFINITY, f32::min).sqrt()
     }
 
     /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`.
@@ -101,9 +112,20 @@ impl Field<'_> {
         now
     }
 
-    /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0.
-    fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk) -> f32 {
-        let (mut best, mut nearest) = (f32::INFINITY, [self.nearest_vertex(tri[0], tri[k], at); 3]);
+    /// Whether all three are used by the input.
+    fn on_input(&self, tri: &[u32; 3]) -> bool {
+        tri.iter().all(|&v| !self.pair.fine.around(v).is_empty())
+    }
+
+    /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0; goes no further where
+    /// the squared distance is not above `enough`.
+    fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk, enough: f32) -> f32 {
+        let start = self.nearest_vertex(tri[0], tri[k], at);
+        let square = relative(self.pair.positions, tri[0], start).distance_squared(at);
+        if square <= enough && !self.pair.fine.around(start).is_empty() {
+            return square.sqrt();
+        }
+        let (mut best, mut nearest) = (f32::INFINITY, [start; 3]);
         for _ in 0..MAX_WALK_BACK {
             let before = best;
             let centers = if walk == Walk::Quick { &nearest[..1] } else { &nearest[..] };
@@ -122,7 +144,7 @@ impl Field<'_> {
                     }
                 }
             }
-            if best == before || walk == Walk::Quick && next[0] == nearest[0] {
+            if best <= enough || best == before || walk == Walk::Quick && next[0] == nearest[0] {
                 break;
             }
             nearest = next;

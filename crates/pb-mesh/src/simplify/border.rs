@@ -1,5 +1,6 @@
 //! Collapses along the border of two clusters, on both sides at once (design I2).
 
+use super::corner_lists::NONE;
 use super::patch::Patch;
 use crate::topology::Kind;
 use std::cmp::Reverse;
@@ -55,8 +56,21 @@ impl Seam {
         Seam { clusters, vertices, known }
     }
 
+    /// Takes the new numbers of the vertices in both patches and forgets the dead.
+    pub fn renumber(&mut self, a: Option<&[u32]>, b: Option<&[u32]>) {
+        let of = |numbers: Option<&[u32]>, v: u32| numbers.map_or(v, |n| n[v as usize]);
+        let (vertices, known) = self
+            .vertices
+            .iter()
+            .zip(&self.known)
+            .map(|(v, k)| ([of(a, v[0]), of(b, v[1])], *k))
+            .filter(|(v, _)| !v.contains(&NONE))
+            .unzip();
+        (self.vertices, self.known) = (vertices, known);
+    }
+
     /// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
-    pub fn collapse(&mut self, a: &mut Patch, b: &mut Patch, limit: f32, level: u8, quota: usize) -> usize {
+    pub fn collapse(&mut self, a: &mut Patch, b: &mut Patch, limit: f32, quota: usize) -> usize {
         let mut queue = BinaryHeap::new();
         for i in 0..self.vertices.len() {
             let v = self.vertices[i];
@@ -78,8 +92,8 @@ impl Seam {
             }
             match self.choose(a, b, v, f32::from_bits(bits)) {
                 Choice::Now(m) => {
-                    a.apply(v[0], m.to[0], level);
-                    b.apply(v[1], m.to[1], level);
+                    a.apply(v[0], m.to[0]);
+                    b.apply(v[1], m.to[1]);
                     count += 1;
                     for next in [m.to[0], m.along[0]] {
                         if let Ok(n) = self.vertices.binary_search_by_key(&next, |w| w[0]) {

@@ -1,9 +1,9 @@
-//! The triangles around one vertex, laid out for the many questions that a collapse asks of them.
+//! The triangles around one vertex, laid out for the many questions that a collapse asks of them: four side by side.
 
 use super::corner_lists::NONE;
 use super::patch::Patch;
 use crate::closest::closest_on_triangle;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 /// A triangle may turn by at most about 75 degrees in one collapse.
 const MIN_TURN_COSINE: f32 = 0.25;
@@ -11,15 +11,34 @@ const MIN_TURN_COSINE: f32 = 0.25;
 /// Squared distance of a witness, in terms of the cost of planes, which is near a mean.
 const WITNESS_WEIGHT: f32 = 4.0;
 
-/// A triangle of the fan: its two other vertices in its order, where they are from the centre, and its unit normal.
+/// Triangles that are worked on at a time.
+pub(super) const LANES: usize = 4;
+
+/// Most vertices of a patch: their numbers are exact in f32, where those of four triangles are compared at once.
+pub(super) const MAX_VERTICES: usize = 1 << 24;
+
+/// A triangle of the fan: its two other vertices in its order.
 #[derive(Clone, Copy)]
 pub(super) struct Spoke {
     pub a: u32,
     pub b: u32,
-    at_a: Vec3,
-    at_b: Vec3,
-    /// Zero for triangles without area.
-    normal: Vec3,
+}
+
+/// Four vectors, one per lane.
+pub(super) type Wide = [Vec4; 3];
+
+/// Four triangles of the fan, in the order of the spokes; the rest of the last ones is empty.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Lanes {
+    /// Numbers of the vertices.
+    a: Vec4,
+    b: Vec4,
+    /// Where they are from the centre.
+    pub at_a: Wide,
+    at_b: Wide,
+    /// Normals as long as the doubled area, and one over their squared length; zero for triangles without area.
+    normal: Wide,
+    inverse: Vec4,
 }
 
 /// The living triangles around a vertex.
@@ -27,6 +46,7 @@ pub(super) struct Spoke {
 pub(super) struct Fan {
     pub center: u32,
     pub spokes: Vec<Spoke>,
+    pub lanes: Vec<Lanes>,
 }
 
 impl Fan {
@@ -48,16 +68,29 @@ impl Fan {
 impl Patch {
     /// Lays out the fan of `v`.
     pub(super) fn spread(&mut self, v: u32) {
-        self.fan.center = v;
-        self.fan.spokes.clear();
+        let Fan { center, spokes, lanes } = &mut self.fan;
+        *center = v;
+        spokes.clear();
+        lanes.clear();
         let positions = &self.input.positions;
-        let center = positions[v as usize];
+        let origin = positions[v as usize];
         for c in self.corners.around(v) {
-            let (at_a, at_b) = (positions[c.a as usize] - center, positions[c.b as usize] - center);
-            let normal = at_a.cross(at_b);
-            let length = normal.length();
-            let normal = if length > 0.0 { normal / length } else { Vec3::ZERO };
-            self.fan.spokes.push(Spoke { a: c.a, b: c.b, at_a, at_b, normal });
+            let lane = spokes.len() % LANES;
+            if lane == 0 {
+                lanes.push(Lanes::default());
+            }
+            let last = lanes.last_mut().expect("one was pushed");
+            (last.a[lane], last.b[lane]) = (c.a as f32, c.b as f32);
+            let (at_a, at_b) = (positions[c.a as usize] - origin, positions[c.b as usize] - origin);
+            for k in 0..3 {
+                (last.at_a[k][lane], last.at_b[k][lane]) = (at_a[k], at_b[k]);
+            }
+            spokes.push(Spoke { a: c.a, b: c.b });
+        }
+        for l in lanes {
+            l.normal = cross(l.at_a, l.at_b);
+            let square = dot(l.normal, l.normal);
+            l.inverse = Vec4::select(square.cmpgt(Vec4::ZERO), square.recip(), Vec4::ZERO);
         }
         if let Some(charts) = &mut self.input.charts {
             charts.spread(&self.corners, v);
@@ -70,21 +103,22 @@ impl Patch {
         if self.input.charts.as_ref().is_some_and(|c| !c.allow(&self.fan.spokes, u)) {
             return f32::INFINITY;
         }
-        let d = self.input.positions[u as usize] - self.input.positions[self.fan.center as usize];
-        let mut most = 0f32;
-        for s in &self.fan.spokes {
-            if s.a == u || s.b == u || s.normal == Vec3::ZERO {
-                continue;
-            }
-            let turned = (s.at_a - d).cross(s.at_b - d);
-            let along = turned.dot(s.normal);
-            if along <= 0.0 || along * along <= MIN_TURN_COSINE * MIN_TURN_COSINE * turned.length_squared() {
+        let d = splat(self.input.positions[u as usize] - self.input.positions[self.fan.center as usize]);
+        let gone = Vec4::splat(u as f32);
+        let mut most = Vec4::ZERO;
+        for l in &self.fan.lanes {
+            let kept = l.a.cmpne(gone) & l.b.cmpne(gone) & l.inverse.cmpgt(Vec4::ZERO);
+            let turned = cross(minus(l.at_a, d), minus(l.at_b, d));
+            let along = dot(turned, l.normal);
+            let least = dot(turned, turned) * (MIN_TURN_COSINE * MIN_TURN_COSINE);
+            let over = along.cmple(Vec4::ZERO) | (along * l.inverse * along).cmple(least);
+            if (kept & over).any() {
                 return f32::INFINITY;
             }
-            let height = s.normal.dot(d);
-            most = most.max(height * height);
+            let height = dot(l.normal, d);
+            most = most.max(Vec4::select(kept, height * height * l.inverse, Vec4::ZERO));
         }
-        most
+        most.max_element()
     }
 
     /// Cost of the largest distance of the witnesses of the fan's centre and of `u` from the triangles around `u` after the
@@ -102,7 +136,7 @@ impl Patch {
             [Some(from), (behind != from).then_some(behind), (beyond != to).then_some(beyond)].into_iter().flatten()
         {
             let kept = self.fan.spokes.iter().filter(|s| s.a != u && s.b != u).map(|s| (s.a, s.b));
-            let own = self.corners.around(u).filter(|c| c.a != v && c.b != v).map(|c| (c.a, c.b));
+            let own = self.corners.around(u).iter().filter(|c| c.a != v && c.b != v).map(|c| (c.a, c.b));
             let mut least = f32::INFINITY;
             for (a, b) in kept.chain(own) {
                 let q = closest_on_triangle(w, [to, positions[a as usize], positions[b as usize]]);
@@ -118,4 +152,21 @@ impl Patch {
         self.farthest = far.1;
         far.0 * WITNESS_WEIGHT
     }
+}
+
+fn splat(v: Vec3) -> Wide {
+    [Vec4::splat(v.x), Vec4::splat(v.y), Vec4::splat(v.z)]
+}
+
+fn minus(a: Wide, b: Wide) -> Wide {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// Four scalar products.
+pub(super) fn dot(a: Wide, b: Wide) -> Vec4 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: Wide, b: Wide) -> Wide {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }

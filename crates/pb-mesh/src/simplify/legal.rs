@@ -39,6 +39,7 @@ impl Patch {
             3 => !self
                 .corners
                 .around(u)
+                .iter()
                 .any(|c| c.a != v && c.b != v && [c.a, c.b].iter().all(|&x| self.marks[x as usize] == self.epoch)),
             _ => true,
         }
@@ -50,9 +51,9 @@ impl Patch {
     /// have thousands of small holes, these could not simplify any further otherwise.
     pub fn closed_hole(&self, u: u32) -> Option<u32> {
         let open = |v: u32| self.input.kinds[v as usize] == Kind::Open;
-        let [start, end] = self.fan.ends().filter(|_| open(self.fan.center) && open(u))?;
+        let [start, end] = if open(self.fan.center) && open(u) { self.fan.ends()? } else { return None };
         let third = if u == start { end } else { start };
-        let mut beside = self.corners.around(u).filter(|c| c.a == third || c.b == third);
+        let mut beside = self.corners.around(u).iter().filter(|c| c.a == third || c.b == third);
         let only = beside.next().filter(|_| beside.next().is_none())?;
         // The border runs on from `u` to the third corner in the same sense.
         (open(third) && start != end && third == if u == start { only.a } else { only.b }).then_some(third)

@@ -7,6 +7,7 @@
 
 mod border;
 mod charts;
+mod compact;
 mod corner_lists;
 mod fan;
 mod legal;
@@ -22,6 +23,7 @@ use crate::segment::Segmentation;
 use crate::topology::{Fans, Kind, border_pair};
 use border::Seam;
 use charts::Charts;
+use compact::Forest;
 use glam::Vec3;
 use patch::{Patch, PatchInput};
 use rayon::prelude::*;
@@ -113,19 +115,19 @@ impl Collapses {
 
 /// Simplifies to `levels` levels, each with `1 / ratio` of the positions of the one before.
 pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
-    let area = mean_area(input);
     let members = Members::new(input);
-    let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len())
-        .into_par_iter()
-        .map(|c| Mutex::new(Patch::new(patch_input(input, &members, area, c as u32))))
-        .collect();
+    let forest = Forest::new(input.positions.len(), (levels - 1) as u8);
+    let area = mean_area(input);
+    let patch = |c| Mutex::new(Patch::new(patch_input(input, &members, area, c as u32)));
+    let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len()).into_par_iter().map(patch).collect();
     let mut seams = color_seams(build_seams(input, &members));
+    drop(members);
     let mut counts = vec![input.positions.len()];
     let mut search = Search::new(&patches, input.positions);
     // But for points that vanished components leave.
     let mut alive = input.positions.len();
     for level in 0..levels - 1 {
-        patches.par_iter().for_each(|p| lock(p).bury_points(level as u8));
+        patches.par_iter().for_each(|p| lock(p).bury_points());
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
         patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
@@ -140,13 +142,14 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
                 search.advance(&patches, alive as f64, target);
             }
             let quota = if small { alive - target.round() as usize } else { usize::MAX };
-            alive -= run_round(&patches, &mut seams, search.limit, level as u8, target / alive as f64, quota);
+            alive -= run_round(&patches, &mut seams, search.limit, target / alive as f64, quota);
             search.record(alive as f64);
             progress((level as f32 + (target / alive as f64).min(1.0) as f32) / (levels - 1) as f32);
         }
+        hand_over(&patches, &mut seams, &forest, level as u8);
         counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
-    collect(&patches, input, levels, counts)
+    collect(&patches, input, forest, counts)
 }
 
 /// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
@@ -166,23 +169,16 @@ fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
 
 /// One round under one cost limit; returns how many positions died. Where there is a quota, the patches take from it one
 /// after the other; only a part that vanishes as a whole may exceed it.
-fn run_round(
-    patches: &[Mutex<Patch>],
-    seams: &mut [Vec<Seam>],
-    limit: f32,
-    level: u8,
-    keep: f64,
-    quota: usize,
-) -> usize {
+fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, keep: f64, quota: usize) -> usize {
     let inside = |p: &Mutex<Patch>, quota: usize| {
         let mut p = lock(p);
         let vanishing = ((p.alive() - p.point_count()) as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
-        let collapsed = p.collapse_interior(limit, level, quota);
-        collapsed + p.vanish(limit, level, vanishing.min(quota - collapsed))
+        let collapsed = p.collapse_interior(limit, quota);
+        collapsed + p.vanish(limit, vanishing.min(quota - collapsed))
     };
     let along = |s: &mut Seam, quota: usize| {
         let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
-        s.collapse(&mut a, &mut b, limit, level, quota)
+        s.collapse(&mut a, &mut b, limit, quota)
     };
     if quota == usize::MAX {
         let inside: usize = patches.par_iter().map(|p| inside(p, quota)).sum();
@@ -289,7 +285,7 @@ impl Search {
 fn cost_of_rank(patches: &[Mutex<Patch>], rank: usize) -> Option<f32> {
     let alive: usize = patches.iter().map(|p| lock(p).alive()).sum();
     let step = (alive / RANK_SAMPLES).max(1);
-    let sampled = |p: &Mutex<Patch>| lock(p).queued_costs(step).collect::<Vec<f32>>();
+    let sampled = |p: &Mutex<Patch>| lock(p).queued_costs(step);
     let mut costs: Vec<f32> = patches.par_iter().flat_map_iter(sampled).collect();
     let rank = rank / step;
     (rank < costs.len()).then(|| *costs.select_nth_unstable_by(rank, f32::total_cmp).1)
@@ -427,21 +423,20 @@ fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
     groups.into_iter().map(|g| g.1).collect()
 }
 
-fn collect(patches: &[Mutex<Patch>], input: &UnisonInput, levels: usize, counts: Vec<usize>) -> Collapses {
-    let mut parent: Vec<u32> = (0..input.positions.len() as u32).collect();
-    let mut last_level = vec![(levels - 1) as u8; parent.len()];
+/// Hands the collapses of a level over to the forest; what is left of patches and seams is moved together.
+fn hand_over(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], forest: &Forest, level: u8) {
+    let numbers: Vec<Option<Vec<u32>>> = patches.par_iter().map(|p| lock(p).hand_over(forest, level)).collect();
+    seams.par_iter_mut().flatten().for_each(|s| {
+        let [a, b] = s.clusters.map(|c| numbers[c as usize].as_deref());
+        s.renumber(a, b);
+    });
+}
+
+fn collect(patches: &[Mutex<Patch>], input: &UnisonInput, forest: Forest, counts: Vec<usize>) -> Collapses {
+    let (parent, last_level) = forest.into_inner();
     let position_of = input.texture.as_ref().map_or(&[][..], |t| t.position_of);
     let mut wedge_parent: Vec<u32> = (0..position_of.len() as u32).collect();
-    for p in patches {
-        let p = lock(p);
-        for (v, &g) in p.input.global.iter().enumerate() {
-            if p.death[v] != u8::MAX {
-                parent[g as usize] = p.input.global[p.parent[v] as usize];
-                last_level[g as usize] = p.death[v];
-            }
-        }
-        p.input.charts.iter().for_each(|c| c.hand_over(&mut wedge_parent));
-    }
+    patches.iter().for_each(|p| lock(p).input.charts.iter().for_each(|c| c.hand_over(&mut wedge_parent)));
     let wedge_last_level = position_of.iter().map(|&v| last_level[v as usize]).collect();
     Collapses { parent, last_level, counts, wedge_parent, wedge_last_level }
 }

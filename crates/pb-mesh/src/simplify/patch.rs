@@ -6,10 +6,10 @@
 
 use super::charts::Charts;
 use super::corner_lists::{CornerLists, NONE};
-use super::fan::Fan;
+use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, dot};
 use super::quadric::Quadric;
 use crate::topology::Kind;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -43,15 +43,36 @@ pub(super) struct PatchInput {
     pub charts: Option<Charts>,
 }
 
+/// A vertex that another may collapse onto.
+#[derive(Clone, Copy)]
+struct Candidate {
+    /// What it costs at least, squared quanta.
+    cost: f32,
+    target: u32,
+    known: Known,
+}
+
+/// What the cost of a candidate counts.
+#[derive(Clone, Copy, PartialEq, PartialOrd)]
+enum Known {
+    /// Planes, normals, texture.
+    Planes,
+    /// Also how far triangles turn.
+    Turn,
+    /// Also witnesses.
+    All,
+}
+
 /// A cluster in the middle of its simplification.
 pub(super) struct Patch {
     pub input: PatchInput,
-    pub parent: Vec<u32>,
-    /// Level of death; `u8::MAX` while alive.
-    pub death: Vec<u8>,
+    /// Which vertices still live.
+    pub(super) living: Vec<bool>,
+    /// Positions that collapsed since they were last handed over, and onto which.
+    pub(super) graves: Vec<[u32; 2]>,
     pub(super) quadrics: Vec<Quadric>,
     /// What makes each quadric's value a cost; see [`scale`].
-    scales: Vec<f32>,
+    pub(super) scales: Vec<f32>,
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
     /// Collapses of this round.
@@ -63,7 +84,7 @@ pub(super) struct Patch {
     pub(super) epoch: u32,
     pub(super) ring: Vec<u32>,
     pub(super) fan: Fan,
-    candidates: Vec<(f32, u32)>,
+    candidates: Vec<Candidate>,
     /// Points left over from vanished components, to die one level later.
     pub(super) points: Vec<u32>,
     pub(super) alive: usize,
@@ -80,15 +101,16 @@ impl Patch {
     /// Sets up quadrics, corner lists and the queue.
     pub fn new(input: PatchInput) -> Self {
         let n = input.global.len();
+        assert!(n <= MAX_VERTICES, "a patch of {n} vertices");
         let mut patch = Patch {
-            parent: (0..n as u32).collect(),
-            death: vec![u8::MAX; n],
+            living: vec![true; n],
+            graves: Vec::new(),
             quadrics: vec![Quadric::default(); n],
             scales: Vec::new(),
             best: vec![(f32::INFINITY, NONE); n],
             queue: BinaryHeap::new(),
             limit: f32::NEG_INFINITY,
-            corners: CornerLists::new(n, &input.triangles),
+            corners: CornerLists::new(n, &input.triangles, input.charts.is_some()),
             marks: vec![0; n],
             epoch: 0,
             ring: Vec::new(),
@@ -102,6 +124,7 @@ impl Patch {
             input,
         };
         patch.sum_quadrics();
+        patch.input.triangles = Vec::new();
         patch.scales = patch.quadrics.iter().map(|q| scale(q.weight, patch.input.mean_area)).collect();
         for v in 0..n as u32 {
             if patch.moves_alone(v) {
@@ -116,15 +139,25 @@ impl Patch {
         self.alive
     }
 
-    /// Does the vertex still live?
+    /// Does the vertex still live? Not if it is none.
     pub fn is_alive(&self, v: u32) -> bool {
-        self.death[v as usize] == u8::MAX
+        self.living.get(v as usize).is_some_and(|l| *l)
     }
 
     /// Costs of the cheapest collapses of every `step`th vertex, if it moves alone and has one.
-    pub fn queued_costs(&self, step: usize) -> impl Iterator<Item = f32> {
-        let costs = self.best.iter().zip(&self.death).step_by(step);
-        costs.filter(|(b, d)| b.1 != NONE && **d == u8::MAX).map(|(b, _)| b.0)
+    pub fn queued_costs(&mut self, step: usize) -> Vec<f32> {
+        let mut costs = Vec::with_capacity(self.best.len() / step + 1);
+        for v in (0..self.best.len() as u32).step_by(step) {
+            let (_, target) = self.best[v as usize];
+            if !self.living[v as usize] {
+                continue;
+            }
+            if target != NONE && !self.is_alive(target) {
+                self.best[v as usize] = self.cheapest(v);
+            }
+            costs.extend((target != NONE).then_some(self.best[v as usize].0).filter(|c| *c < f32::INFINITY));
+        }
+        costs
     }
 
     fn sum_quadrics(&mut self) {
@@ -156,7 +189,7 @@ impl Patch {
     }
 
     fn has_half_edge(&self, a: u32, b: u32) -> bool {
-        self.corners.around(a).any(|c| c.a == b)
+        self.corners.around(a).iter().any(|c| c.a == b)
     }
 
     /// Fills `ring` with the neighbours of `v` and marks each with the number of triangles on its edge.
@@ -185,23 +218,35 @@ impl Patch {
         self.is_alive(v) && matches!(self.input.kinds[v as usize], Kind::Inner | Kind::Open)
     }
 
-    /// Where the vertex of the fan, which moves alone, may go, into `candidates`, with raw costs. Kinds only (design I2).
+    /// Where the vertex of the fan, which moves alone, may go, into `candidates`, with their least costs. Kinds only (design
+    /// I2).
     fn list_candidates(&mut self) {
         let (v, mut list) = (self.fan.center, std::mem::take(&mut self.candidates));
         list.clear();
-        let open = self.input.kinds[v as usize] == Kind::Open;
-        let target = |u: u32| !open || matches!(self.input.kinds[u as usize], Kind::Open | Kind::Locked);
-        // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
-        let mut add = |u: u32| {
-            if target(u) {
-                list.push((self.cost(v, u), u));
+        let mut add = |cost, target| list.push(Candidate { cost, target, known: Known::Planes });
+        if self.input.kinds[v as usize] == Kind::Open {
+            let may = |u: &u32| matches!(self.input.kinds[*u as usize], Kind::Open | Kind::Locked);
+            self.fan.ends().into_iter().flatten().filter(may).for_each(|u| add(self.cost(v, u), u));
+        } else {
+            // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
+            for (lanes, spokes) in self.fan.lanes.iter().zip(self.fan.spokes.chunks(LANES)) {
+                let costs = self.costs(v, lanes, spokes);
+                for (k, s) in spokes.iter().enumerate() {
+                    add(costs[k] + self.stretch(s.a), s.a);
+                }
             }
-        };
-        match open {
-            true => self.fan.ends().into_iter().flatten().for_each(&mut add),
-            false => self.fan.spokes.iter().for_each(|s| add(s.a)),
         }
         self.candidates = list;
+    }
+
+    /// Costs of moving `v` onto where four of its spokes start, without those of texture.
+    fn costs(&self, v: u32, lanes: &Lanes, spokes: &[Spoke]) -> Vec4 {
+        let (own, q, d) = (self.input.normals[v as usize], &self.quadrics[v as usize], lanes.at_a);
+        let mut bend = Vec4::ZERO;
+        for (k, s) in spokes.iter().enumerate() {
+            bend[k] = 1.0 - own.dot(self.input.normals[s.a as usize]);
+        }
+        q.at_four(d) * self.scales[v as usize] + dot(d, d) * (bend * bend * NORMAL_WEIGHT + LENGTH_WEIGHT)
     }
 
     /// Cost of moving `v`, whose fan is laid out if there are charts, onto `u`, squared quanta: distance to the planes merged
@@ -233,16 +278,28 @@ impl Patch {
     fn cheapest(&mut self, v: u32) -> (f32, u32) {
         self.spread(v);
         self.list_candidates();
-        let mut best = (f32::INFINITY, NONE);
-        for &(cost, u) in &self.candidates {
-            if cost < best.0 {
-                let raised = cost.max(self.turn(u));
-                if raised < best.0 {
-                    best = (raised, u);
-                }
+        loop {
+            match self.cheapest_candidate() {
+                None => return (f32::INFINITY, NONE),
+                Some((_, c)) if c.known == Known::Turn => return (c.cost, c.target),
+                Some((i, c)) => self.candidates[i] = self.ask_more(c),
             }
         }
-        best
+    }
+
+    /// The candidate that seems cheapest, and its place.
+    fn cheapest_candidate(&self) -> Option<(usize, Candidate)> {
+        let first = self.candidates.iter().enumerate().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
+        first.filter(|(_, c)| c.cost < f32::INFINITY).map(|(i, c)| (i, *c))
+    }
+
+    /// The candidate with what the next question adds to its cost.
+    fn ask_more(&mut self, c: Candidate) -> Candidate {
+        let (more, known) = match c.known {
+            Known::Planes => (self.turn(c.target), Known::Turn),
+            _ => (self.reach(c.target).max(self.slide(c.target)), Known::All),
+        };
+        Candidate { cost: c.cost.max(more), known, ..c }
     }
 
     fn enqueue(&mut self, v: u32, best: (f32, u32)) {
@@ -253,7 +310,7 @@ impl Patch {
     }
 
     /// Collapses inside the cluster, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
-    pub fn collapse_interior(&mut self, limit: f32, level: u8, quota: usize) -> usize {
+    pub fn collapse_interior(&mut self, limit: f32, quota: usize) -> usize {
         let mut entries = std::mem::take(&mut self.queue).into_vec();
         entries.clear();
         let below = (0..self.best.len() as u32).filter(|&v| self.best[v as usize].0 <= limit && self.moves_alone(v));
@@ -263,7 +320,7 @@ impl Patch {
         let mut count = 0;
         while let Some(Reverse((bits, v))) = self.queue.pop().filter(|_| count < quota) {
             if self.moves_alone(v) && self.best[v as usize].0.to_bits() == bits {
-                count += self.collapse_vertex(v, level) as usize;
+                count += self.collapse_vertex(v) as usize;
             }
         }
         self.limit = f32::NEG_INFINITY;
@@ -271,42 +328,45 @@ impl Patch {
     }
 
     /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet.
-    fn collapse_vertex(&mut self, v: u32, level: u8) -> bool {
+    fn collapse_vertex(&mut self, v: u32) -> bool {
         let next = self.queue.peek().map_or(self.limit, |t| f32::from_bits(t.0.0));
-        let due = self.best[v as usize].0.max(next);
         let (cost, u) = self.best[v as usize];
+        let due = cost.max(next);
         self.spread(v);
-        if cost.max(self.turn(u)) <= due
+        if self.is_alive(u)
+            && self.turn(u) <= due
             && self.reach(u).max(self.slide(u)) <= due
             && self.keeps_topology(u, |_, _| false)
         {
-            self.apply(v, u, level);
+            self.apply(v, u);
             return true;
         }
         self.best[v as usize] = (f32::INFINITY, NONE);
         self.list_candidates();
-        let mut candidates = std::mem::take(&mut self.candidates);
-        candidates.iter_mut().for_each(|c| c.0 = c.0.max(self.turn(c.1)));
-        candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let (mut done, mut later) = (false, (f32::INFINITY, NONE));
-        for &(cost, u) in candidates.iter().filter(|c| c.0 < f32::INFINITY) {
-            if cost >= later.0 {
-                break;
+        while let Some((i, c)) = self.cheapest_candidate() {
+            if c.cost > due {
+                self.enqueue(v, (c.cost, c.target));
+                return false;
             }
-            let raised = if cost <= due { cost.max(self.reach(u)).max(self.slide(u)) } else { cost };
-            if raised > due {
-                later = if raised < later.0 { (raised, u) } else { later };
-            } else if self.keeps_topology(u, |_, _| false) {
-                self.apply(v, u, level);
-                done = true;
-                break;
+            if c.known < Known::All {
+                self.candidates[i] = self.ask_more(c);
+            } else if self.keeps_topology(c.target, |_, _| false) {
+                // Others may have been asked since.
+                let _ = self.reach(c.target).max(self.slide(c.target));
+                self.apply(v, c.target);
+                return true;
+            } else {
+                self.candidates[i].cost = f32::INFINITY;
             }
         }
-        if !done && later.1 != NONE {
-            self.enqueue(v, later);
-        }
-        self.candidates = candidates;
-        done
+        false
+    }
+
+    /// Notes the death of `v`.
+    pub(super) fn bury(&mut self, v: u32, parent: u32) {
+        self.living[v as usize] = false;
+        self.graves.push([v, parent].map(|x| self.input.global[x as usize]));
+        self.alive -= 1;
     }
 
     /// Other clusters that use `v`.
@@ -316,13 +376,11 @@ impl Patch {
     }
 
     /// Carries a legal collapse, the one whose [`Patch::reach`] and [`Patch::slide`] were asked for last, out and updates the costs around it.
-    pub fn apply(&mut self, v: u32, u: u32, level: u8) {
+    pub fn apply(&mut self, v: u32, u: u32) {
         if self.watchful {
             self.witness[u as usize] = self.farthest;
         }
-        self.parent[v as usize] = u;
-        self.death[v as usize] = level;
-        self.alive -= 1;
+        self.bury(v, u);
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         let q = self.quadrics[v as usize].moved(d);
         self.quadrics[u as usize].add(&q);
@@ -340,39 +398,44 @@ impl Patch {
             charts.collapse(&self.fan.spokes, &self.corners, [v, u], d);
         }
         self.corners.merge(v, u);
-        self.refresh_around(u, v);
+        self.refresh_around(u);
     }
 
-    /// Costs of `u` and its ring after something (`gone`) collapsed onto `u`.
-    fn refresh_around(&mut self, u: u32, gone: u32) {
-        self.gather(u);
-        let ring = std::mem::take(&mut self.ring);
-        for &x in &ring {
-            if !self.moves_alone(x) {
-                continue;
-            }
-            let (cost, target) = self.best[x as usize];
-            let best = if target == gone || target == NONE || self.input.kinds[x as usize] == Kind::Open {
-                self.cheapest(x)
-            } else {
-                if self.input.charts.is_some() {
-                    self.spread(x);
-                }
-                let raw = self.cost(x, u);
-                if raw >= cost {
-                    continue;
-                }
-                self.spread(x);
-                (raw.max(self.turn(u)), u)
-            };
-            if best.0 < cost || target == gone || self.input.kinds[x as usize] == Kind::Open {
-                self.enqueue(x, best);
+    /// Costs around `u` after the fan's centre collapsed onto it. A cost rests on the quadric of the vertex that moves, so only
+    /// those of `u` change; others may have `u` as a new target. Where the target is gone, that shows when it comes up.
+    fn refresh_around(&mut self, u: u32) {
+        let mut anew = std::mem::take(&mut self.ring);
+        anew.clear();
+        let uncertain = |x: u32| self.best[x as usize].1 == NONE || self.input.kinds[x as usize] == Kind::Open;
+        for c in self.corners.around(u) {
+            anew.extend([c.a, c.b].into_iter().filter(|&x| uncertain(x) && self.moves_alone(x)));
+        }
+        for i in 0..self.fan.spokes.len() {
+            let Spoke { a, b, .. } = self.fan.spokes[i];
+            match self.input.charts {
+                _ if a == u || b == u => {}
+                None => self.offer(a, u),
+                // The cost of a texture's stretch needs the whole fan.
+                Some(_) => anew.extend(self.moves_alone(a).then_some(a)),
             }
         }
-        self.ring = ring;
-        if self.moves_alone(u) {
-            let best = self.cheapest(u);
-            self.enqueue(u, best);
+        anew.sort_unstable();
+        anew.dedup();
+        anew.extend(self.moves_alone(u).then_some(u));
+        for &x in &anew {
+            let best = self.cheapest(x);
+            self.enqueue(x, best);
+        }
+        self.ring = anew;
+    }
+
+    /// Lets `x`, if it is an inner vertex, know its neighbour `u`.
+    fn offer(&mut self, x: u32, u: u32) {
+        if self.input.kinds[x as usize] == Kind::Inner && self.best[x as usize].1 != NONE {
+            let cost = self.cost(x, u);
+            if cost < self.best[x as usize].0 {
+                self.enqueue(x, (cost, u));
+            }
         }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Centring keeps f32 exact enough: a quadric is only ever evaluated at a neighbour of its vertex.
 
-use glam::Vec3;
+use super::fan::Wide;
+use glam::{Vec3, Vec4};
 
 /// Sum of weighted squared distances to planes, as a function of the offset from the owner's position.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,8 +29,16 @@ impl Quadric {
     }
 
     /// Weighted squared distance at offset `d` from the owner; never negative.
+    #[inline]
     pub fn at(&self, d: Vec3) -> f32 {
         (d.dot(self.times(d)) + 2.0 * self.b.dot(d) + self.c).max(0.0)
+    }
+
+    /// The same at four offsets.
+    pub fn at_four(&self, [x, y, z]: Wide) -> Vec4 {
+        let [xx, yy, zz, xy, xz, yz] = self.a;
+        let cross = x * y * xy + x * z * xz + y * z * yz + x * self.b.x + y * self.b.y + z * self.b.z;
+        (x * x * xx + y * y * yy + z * z * zz + cross * 2.0 + self.c).max(Vec4::ZERO)
     }
 
     /// The same function for an owner that lies `d` away.

@@ -7,7 +7,7 @@ use glam::Vec3;
 impl Patch {
     /// Small components whose size is within `limit` (squared quanta) shrink to a point; at most `quota`
     /// vertices go. Returns how many went, with the point, which is drawn no more.
-    pub fn vanish(&mut self, limit: f32, level: u8, quota: usize) -> usize {
+    pub fn vanish(&mut self, limit: f32, quota: usize) -> usize {
         let mut count = 0;
         while let Some(&(size, _)) = self.input.components.last() {
             if size > limit || count >= quota {
@@ -21,7 +21,7 @@ impl Patch {
             others.iter().for_each(|&v| self.corners.drop_around(v));
             count += others.len() + 1;
             for v in others {
-                self.bury(v, point, level);
+                self.bury_whole(v, point);
             }
             self.input.kinds[point as usize] = Kind::Locked;
             self.points.push(point);
@@ -29,10 +29,8 @@ impl Patch {
         count
     }
 
-    fn bury(&mut self, v: u32, parent: u32, level: u8) {
-        self.parent[v as usize] = parent;
-        self.death[v as usize] = level;
-        self.alive -= 1;
+    fn bury_whole(&mut self, v: u32, parent: u32) {
+        self.bury(v, parent);
         if let Some(charts) = &mut self.input.charts {
             charts.bury(v, parent);
         }
@@ -44,17 +42,17 @@ impl Patch {
     }
 
     /// Points left by components that vanished at an earlier level die: nothing draws them any more.
-    pub fn bury_points(&mut self, level: u8) {
+    pub fn bury_points(&mut self) {
         if self.points.is_empty() {
             return;
         }
         let mut points = std::mem::take(&mut self.points);
         points.sort_unstable();
         let is_heir = |h: &u32| self.is_alive(*h) && points.binary_search(h).is_err();
-        let heirs = Heirs::new((0..self.death.len() as u32).filter(is_heir), &self.input.positions);
+        let heirs = Heirs::new((0..self.living.len() as u32).filter(is_heir), &self.input.positions);
         for &v in &points {
             match heirs.nearest(self.input.positions[v as usize]) {
-                Some(heir) => self.bury(v, heir, level),
+                Some(heir) => self.bury_whole(v, heir),
                 None => self.points.push(v),
             }
         }

@@ -15,6 +15,7 @@ fn geometry(mesh: &Charted, collapses: &Collapses, level: u8) -> (f32, f64) {
         fine: &Fans::new(count as usize, &mesh.triangles),
         cluster_of: &mesh.cluster_of,
         coarse: &coarse,
+        fans: &Fans::new(count as usize, &coarse),
         coarse_cluster_of: &numbers.iter().map(|&t| mesh.cluster_of[t]).collect::<Vec<_>>(),
         ancestors: &(0..count).map(|v| collapses.ancestor(v, level)).collect::<Vec<_>>(),
         open: &(0..count).map(|v| mesh.kinds[v as usize] == pb_mesh::topology::Kind::Open).collect::<Vec<_>>(),

@@ -1,9 +1,9 @@
 //! Textured models: no pops of texels on a slow flight, bright values that stay bright, no seams, and what shines through.
 
 use crate::support::{adapter, column, folder, hills, pb_view_line, read_frame, write_flight};
-use pb_archive::{Overwrite, Spill, Writer};
+use pb_archive::{Overwrite, Writer};
 use pb_lod::progressive_buffers::bake::{
-    BakeOptions, ChartMode, ChartOptions, TexelOptions, TextureInput, bake_textured,
+    BakeOptions, ChartMode, ChartOptions, Outside, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::model::Model;
@@ -34,10 +34,9 @@ fn bake_hills_as(name: &str, mut soup: Soup, image: Image, mode: ChartMode, mut 
         images: &[Some(image)],
         charts: ChartOptions { mode, tile_size: 512, charter: None },
         texels: TexelOptions { quality: Quality::Fast, ..TexelOptions::default() },
-        spill: &Spill::in_memory(),
     };
     let options = BakeOptions { levels: 4, cluster_triangles: 2048, ..BakeOptions::default() };
-    let (model, _) = bake_textured(mesh, Some(&textures), triangles, &options, &|_, _| {}).unwrap();
+    let (model, _) = bake_textured(mesh, Some(&textures), triangles, &options, &Outside::nothing()).unwrap();
     let path = folder("archives").join(name);
     write_model(Writer::create(&path, SCHEME, Overwrite::Force).unwrap(), &model).unwrap();
     path

@@ -5,12 +5,13 @@ use super::charting::Tiles;
 use super::grid::Grid;
 use super::levels::LevelErrors;
 use super::surface::Surface;
-use super::{Clusters, for_clusters};
+use super::{Clusters, Outside, Stage, for_clusters};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
 use crate::progressive_buffers::model::{FLAG_COLORS, FLAG_INSTANCES};
 use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
+use pb_archive::ArchiveError;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 use rayon::prelude::*;
@@ -29,7 +30,7 @@ pub(super) struct Finished<'a> {
 
 /// Orders the clusters, packs their buffers and fills all tables but those of textures. Returns the model, the clusters
 /// of the segmentation in its order, and the average cache misses per triangle of each level.
-pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (BakedModel, Vec<u32>, Vec<f32>) {
+pub(super) fn assemble(input: &Finished, outside: &Outside) -> Result<(BakedModel, Vec<u32>, Vec<f32>), ArchiveError> {
     let &Finished { surface, triangles_in, clusters, collapses, errors, levels, .. } = input;
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let bounds: Vec<Bounds> = (0..count)
@@ -68,11 +69,12 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
             shift: grid.shifts[old],
             slot_of: &slot_of,
         };
-        buffers::build(&source, &place)
+        outside.try_kept("geometry", new as u32, || buffers::build(&source, &place, outside.spill))
     };
-    let built = for_clusters(count, progress, build);
+    let built: Result<Vec<_>, ArchiveError> =
+        for_clusters(count, &|x| (outside.progress)(Stage::Pack, x), build).into_iter().collect();
     let (mut level_records, mut chunks) = (Vec::with_capacity(count * levels), Vec::with_capacity(count * levels));
-    for (new, (mut records, packed)) in built.into_iter().enumerate() {
+    for (new, (mut records, packed)) in built?.into_iter().enumerate() {
         for (level, r) in records.iter_mut().enumerate() {
             r.error = errors[level].max[hierarchy.order[new] as usize];
         }
@@ -112,7 +114,7 @@ pub(super) fn assemble(input: &Finished, progress: &(dyn Fn(f32) + Sync)) -> (Ba
         model_levels,
         chunks,
     };
-    (model, hierarchy.order, acmr)
+    Ok((model, hierarchy.order, acmr))
 }
 
 /// Box and sphere of a cluster, grid space.

@@ -3,6 +3,7 @@
 use crate::progressive_buffers::codec::{Chunk, encode_chunk};
 use crate::progressive_buffers::layout::{LevelRecord, SLOT_NONE, Vertex};
 use crate::progressive_buffers::write::EncodedChunk;
+use pb_archive::{ArchiveError, Spill};
 use pb_mesh::mesh::Wedge;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
@@ -45,7 +46,11 @@ pub(super) struct Place<'a> {
 }
 
 /// Level records (error still 0) and packed chunks of one cluster, finest first.
-pub(super) fn build(source: &Source, place: &Place) -> (Vec<LevelRecord>, Vec<EncodedChunk>) {
+pub(super) fn build(
+    source: &Source,
+    place: &Place,
+    spill: &Spill,
+) -> Result<(Vec<LevelRecord>, Vec<EncodedChunk>), ArchiveError> {
     let local = Local::new(source, place.triangles);
     let (order, starts, index_buffers) = local.number(source.levels);
     let vertices = local.vertices(source, place, &order);
@@ -64,9 +69,10 @@ pub(super) fn build(source: &Source, place: &Place) -> (Vec<LevelRecord>, Vec<En
             vertices: vertices[first as usize..end as usize].to_vec(),
             indices: indices.iter().map(|&i| i as u16).collect(),
         };
-        chunks.push(EncodedChunk { bytes: encode_chunk(&chunk).into(), decoded_bytes: chunk.shape().decoded_bytes() });
+        let bytes = spill.put(encode_chunk(&chunk))?;
+        chunks.push(EncodedChunk { bytes, decoded_bytes: chunk.shape().decoded_bytes() });
     }
-    (records, chunks)
+    Ok((records, chunks))
 }
 
 /// What becomes a vertex: a wedge, and its UV wedge where there are textures (else 0).

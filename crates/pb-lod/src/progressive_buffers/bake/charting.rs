@@ -3,7 +3,7 @@
 
 use super::chart_part::Part;
 use super::surface::Surface;
-use super::{Clusters, TextureInput, for_clusters};
+use super::{Clusters, Outside, Stage, TextureInput, for_clusters};
 use pb_mesh::charts::{Charts, ClusterSurface};
 use pb_mesh::material::{Material, Slot, TextureRef};
 use pb_mesh::mesh::Texturing;
@@ -197,10 +197,11 @@ fn chart_texture(material: &Material) -> Option<&TextureRef> {
 }
 
 /// Charts and packs all clusters.
-pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, progress: &(dyn Fn(f32) + Sync)) -> Tiles {
+pub(super) fn make_tiles(input: &ChartInput, options: &ChartOptions, outside: &Outside) -> Tiles {
     let texturing = input.surface.texturing.as_ref().expect("only textured meshes have tiles");
     let count = input.clusters.segmentation.len();
-    let tiles = for_clusters(count, progress, |c| Part::new(input, texturing, c).tile(options));
+    let tile = |c: usize| outside.kept("charts", c as u32, || Part::new(input, texturing, c).tile(options));
+    let tiles = for_clusters(count, &|x| (outside.progress)(Stage::Charts, x), tile);
     number(input, tiles)
 }
 

@@ -1,6 +1,6 @@
 //! The errors of every level: distances to the input, per cluster and for the whole model.
 
-use super::Clusters;
+use super::{Clusters, Outside, Stage};
 use pb_mesh::deviation::{LevelPair, TextureDeviation, measure};
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::{Fans, Kind};
@@ -23,16 +23,57 @@ const MEASURE_STEP: usize = 2;
 struct LevelSurface<'a> {
     triangles: Cow<'a, [[u32; 3]]>,
     cluster_of: Cow<'a, [u32]>,
+    /// Triangles around positions.
+    fans: Cow<'a, Fans>,
 }
 
+/// Triangles of one job.
+const BLOCK: usize = 1 << 14;
+
 impl LevelSurface<'_> {
-    /// The next coarser level.
-    fn coarser(&self, collapses: &Collapses, level: u8) -> LevelSurface<'static> {
-        let at = |t: &[u32; 3]| t.map(|v| collapses.ancestor(v, level));
-        let kept = self.triangles.par_iter().zip(&*self.cluster_of).map(|(t, &c)| (at(t), c));
-        let (triangles, cluster_of): (Vec<_>, Vec<_>) =
-            kept.filter(|(t, _)| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).unzip();
-        LevelSurface { triangles: triangles.into(), cluster_of: cluster_of.into() }
+    /// The next coarser level. `survivors` gives what each position has become there.
+    fn coarser(&self, survivors: &[u32]) -> LevelSurface<'static> {
+        let block = |(triangles, cluster_of): (&[[u32; 3]], &[u32])| {
+            let mut kept = (Vec::with_capacity(BLOCK / 2), Vec::with_capacity(BLOCK / 2));
+            for (t, &c) in triangles.iter().zip(cluster_of) {
+                let t = t.map(|v| survivors[v as usize]);
+                if t[0] != t[1] && t[1] != t[2] && t[2] != t[0] {
+                    kept.0.push(t);
+                    kept.1.push(c);
+                }
+            }
+            kept
+        };
+        let (triangles, cluster_of): (Vec<Vec<[u32; 3]>>, Vec<Vec<u32>>) =
+            self.triangles.par_chunks(BLOCK).zip(self.cluster_of.par_chunks(BLOCK)).map(block).unzip();
+        let (triangles, cluster_of) = rayon::join(|| triangles.concat(), || cluster_of.concat());
+        let fans = Fans::new(survivors.len(), &triangles);
+        LevelSurface { triangles: triangles.into(), cluster_of: cluster_of.into(), fans: Cow::Owned(fans) }
+    }
+}
+
+/// What every position has become at a level.
+struct Ancestors {
+    survivors: Vec<u32>,
+    /// The same, but a component that has vanished is measured against the point that it shrank to.
+    inside_component: Vec<u32>,
+}
+
+impl Ancestors {
+    fn new(positions: usize) -> Self {
+        let survivors: Vec<u32> = (0..positions as u32).collect();
+        Ancestors { inside_component: survivors.clone(), survivors }
+    }
+
+    fn advance(&mut self, collapses: &Collapses, components: &[u32], level: u8) {
+        self.survivors.par_iter_mut().zip(&mut self.inside_component).for_each(|(survivor, inside)| {
+            let (before, a) = (*survivor, collapses.ancestor(*survivor, level));
+            *survivor = a;
+            let nearer = if before == *inside { a } else { collapses.ancestor(*inside, level) };
+            if components[nearer as usize] == components[*inside as usize] {
+                *inside = nearer;
+            }
+        });
     }
 }
 
@@ -45,56 +86,56 @@ pub(super) fn measure_levels(
     clusters: &Clusters,
     collapses: &Collapses,
     levels: usize,
-    progress: &dyn Fn(f32),
+    outside: &Outside,
 ) -> Vec<LevelErrors> {
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let components = &clusters.segmentation.components;
     let open = open_positions(triangles, clusters);
-    let mut ancestors: Vec<u32> = (0..grid.points.len() as u32).collect();
+    let mut ancestors = Ancestors::new(grid.points.len());
     let round_up = |x: f64| (x as f32).next_up();
-    let mut surfaces =
-        vec![LevelSurface { triangles: triangles.into(), cluster_of: clusters.cluster_of.as_slice().into() }];
+    let mut surfaces = vec![LevelSurface {
+        triangles: triangles.into(),
+        cluster_of: clusters.cluster_of.as_slice().into(),
+        fans: Cow::Borrowed(&clusters.fans),
+    }];
     let mut list = vec![LevelErrors {
         max: grid.snap_errors.iter().map(|&e| round_up(e)).collect(),
         rms: (grid.snap_squares / grid.points.len() as f64).sqrt(),
         vertices: grid.points.len() as u64,
     }];
     for level in 1..levels as u8 {
-        // A component that has vanished is measured against the point that it shrank to.
-        ancestors.par_iter_mut().for_each(|v| {
-            let a = collapses.ancestor(*v, level);
-            if components[a as usize] == components[*v as usize] {
-                *v = a;
+        ancestors.advance(collapses, components, level);
+        surfaces.push(surfaces[level as usize - 1].coarser(&ancestors.survivors));
+        let errors = || {
+            let base = (level as usize).saturating_sub(MEASURE_STEP);
+            let (fine, coarse) = (&surfaces[base], &surfaces[level as usize]);
+            let pair = LevelPair {
+                positions: &grid.points,
+                triangles: &fine.triangles,
+                fine: &fine.fans,
+                cluster_of: &fine.cluster_of,
+                coarse: &coarse.triangles,
+                fans: &coarse.fans,
+                coarse_cluster_of: &coarse.cluster_of,
+                ancestors: &ancestors.inside_component,
+                open: &open,
+            };
+            let deviation = measure(&pair, count);
+            let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
+            let bound = |c: usize| {
+                let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
+                round_up(distance).max(finer.max[c])
+            };
+            let square = deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE) * grid.quantum * grid.quantum;
+            LevelErrors {
+                max: (0..count).map(bound).collect(),
+                rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
+                vertices: used_positions(&coarse.triangles, grid.points.len()),
             }
-        });
-        surfaces.push(surfaces[level as usize - 1].coarser(collapses, level));
-        let base = (level as usize).saturating_sub(MEASURE_STEP);
-        let (fine, coarse) = (&surfaces[base], &surfaces[level as usize]);
-        let fans = (base > 0).then(|| Fans::new(grid.points.len(), &fine.triangles));
-        let pair = LevelPair {
-            positions: &grid.points,
-            triangles: &fine.triangles,
-            fine: fans.as_ref().unwrap_or(&clusters.fans),
-            cluster_of: &fine.cluster_of,
-            coarse: &coarse.triangles,
-            coarse_cluster_of: &coarse.cluster_of,
-            ancestors: &ancestors,
-            open: &open,
         };
-        let deviation = measure(&pair, count);
-        let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
-        let bound = |c: usize| {
-            let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
-            round_up(distance).max(finer.max[c])
-        };
-        let square = deviation.squares.0 / deviation.squares.1.max(f64::MIN_POSITIVE) * grid.quantum * grid.quantum;
-        let next = LevelErrors {
-            max: (0..count).map(bound).collect(),
-            rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
-            vertices: used_positions(&coarse.triangles, grid.points.len()),
-        };
+        let next = outside.kept("errors", level.into(), errors);
         list.push(next);
-        progress(f32::from(level) / (levels - 1) as f32);
+        (outside.progress)(Stage::Measure, f32::from(level) / (levels - 1) as f32);
     }
     list
 }

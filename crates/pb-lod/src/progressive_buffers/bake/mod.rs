@@ -4,12 +4,13 @@
 //! level against the input, build the coarse buffer hierarchy, build and pack the buffers. All loops are data
 //! parallel over clusters or positions, and no result depends on their order.
 //!
-//! Must never: open a file, or read a clock. Texture chunks go where the caller says.
+//! Must never: open a file, or read a clock. Chunks and the results of steps go where the caller says ([`Outside`]).
 
 mod assemble;
 mod buffers;
 mod chart_part;
 mod charting;
+pub mod checkpoints;
 mod grid;
 mod lanes;
 mod levels;
@@ -25,6 +26,7 @@ use super::textures::MAX_SIZE_LOG2;
 use super::write::BakedModel;
 use assemble::{Finished, assemble};
 use charting::{ChartInput, Tiles, make_tiles, sizing};
+use checkpoints::{Checkpoints, Kept, NoCheckpoints, kept};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
@@ -39,6 +41,7 @@ use pb_mesh::texture::NormalSpace;
 use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
+use std::convert::Infallible;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use surface::Surface;
 use tiles::fill_tiles;
@@ -79,8 +82,38 @@ pub struct TextureInput<'a> {
     pub charts: ChartOptions<'a>,
     /// How texels are stored.
     pub texels: TexelOptions,
-    /// Where finished texture chunks wait until they are written.
+}
+
+/// What a bake reaches of the world outside.
+#[derive(Clone, Copy)]
+pub struct Outside<'a> {
+    /// Called from any thread with a stage and the share of it that is done.
+    pub progress: &'a (dyn Fn(Stage, f32) + Sync),
+    /// Where finished chunks wait until they are written.
     pub spill: &'a Spill,
+    /// Where results of steps are kept, and were kept by a bake of the same input with the same options that was cut short.
+    pub checkpoints: &'a dyn Checkpoints,
+}
+
+impl Outside<'static> {
+    /// Nothing is shown or kept, and chunks wait in memory.
+    pub fn nothing() -> Self {
+        static IN_MEMORY: Spill = Spill::in_memory();
+        Outside { progress: &|_, _| (), spill: &IN_MEMORY, checkpoints: &NoCheckpoints }
+    }
+}
+
+impl Outside<'_> {
+    /// The result of a part of a step as it was kept, else made and kept.
+    fn kept<T: Kept>(&self, step: &'static str, part: u32, make: impl FnOnce() -> T) -> T {
+        let made: Result<T, Infallible> = self.try_kept(step, part, || Ok(make()));
+        made.unwrap_or_else(|never| match never {})
+    }
+
+    /// The same where it may fail.
+    fn try_kept<T: Kept, E>(&self, step: &'static str, part: u32, make: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
+        kept((self.checkpoints, self.spill), step, part, make)
+    }
 }
 
 /// Steps of the bake, for progress displays.
@@ -146,20 +179,21 @@ pub fn bake(
     options: &BakeOptions,
     progress: &(dyn Fn(Stage, f32) + Sync),
 ) -> Result<(BakedModel, BakeReport), BakeError> {
-    bake_textured(mesh, None, triangles_in, options, progress)
+    bake_textured(mesh, None, triangles_in, options, &Outside { progress, ..Outside::nothing() })
 }
 
 /// The same with its textures; they are left out where the mesh has no [`Texturing`](pb_mesh::mesh::Texturing).
 ///
 /// # Errors
-/// [`BakeError`] for options out of range, and where there is no room for texture chunks.
+/// [`BakeError`] for options out of range, and where there is no room for chunks.
 pub fn bake_textured(
     mesh: Mesh,
     textures: Option<&TextureInput>,
     triangles_in: u64,
     options: &BakeOptions,
-    progress: &(dyn Fn(Stage, f32) + Sync),
+    outside: &Outside,
 ) -> Result<(BakedModel, BakeReport), BakeError> {
+    let progress = outside.progress;
     let textures = textures.filter(|_| mesh.texturing.is_some());
     check(&mesh, textures, options)?;
     let levels = options.levels as usize;
@@ -167,7 +201,7 @@ pub fn bake_textured(
     let (mut surface, positions) = Surface::new(mesh);
     let sizing = textures.map(|t| sizing(&surface, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)));
     let max_triangles = sizing.map_or(options.cluster_triangles, |s| s.cluster_triangles);
-    let clusters = Clusters::new(&mut surface, positions, max_triangles);
+    let clusters = Clusters::new(&mut surface, positions, max_triangles, outside);
     let tiles = textures.map(|t| {
         progress(Stage::Charts, 0.0);
         let input = ChartInput {
@@ -178,16 +212,16 @@ pub fn bake_textured(
             normals: t.texels.normal_space == NormalSpace::Object,
             scale: sizing.map_or(1.0, |s| s.scale),
         };
-        make_tiles(&input, &t.charts, &|x| progress(Stage::Charts, x))
+        make_tiles(&input, &t.charts, outside)
     });
     progress(Stage::Simplify, 0.0);
     let normals = normals(&surface.wedges, clusters.grid.points.len());
     let unison = clusters.unison(&surface.triangles, &normals, tiles.as_ref());
-    let collapses = simplify(&unison, levels, options.ratio, &|x| progress(Stage::Simplify, x));
+    let collapses =
+        outside.kept("collapses", 0, || simplify(&unison, levels, options.ratio, &|x| progress(Stage::Simplify, x)));
     drop(normals);
     progress(Stage::Measure, 0.0);
-    let mut errors =
-        measure_levels(&surface.triangles, &clusters, &collapses, levels, &|x| progress(Stage::Measure, x));
+    let mut errors = measure_levels(&surface.triangles, &clusters, &collapses, levels, outside);
     if let Some(tiles) = &tiles {
         let (points, segmentation) = (&clusters.grid.points, &clusters.segmentation);
         let slides = texture_deviation(points, &surface.triangles, segmentation, &tiles.uv_input(), &collapses);
@@ -203,10 +237,10 @@ pub fn bake_textured(
         errors: &errors,
         levels,
     };
-    let (mut model, order, acmr) = assemble(&finished, &|x| progress(Stage::Pack, x));
+    let (mut model, order, acmr) = assemble(&finished, outside)?;
     if let (Some(input), Some(tiles)) = (textures, &tiles) {
         progress(Stage::Textures, 0.0);
-        fill_tiles(&finished, input, tiles, &order, &mut model, &|x| progress(Stage::Textures, x))?;
+        fill_tiles(&finished, input, tiles, &order, &mut model, outside)?;
     }
     let locked = clusters.kinds.iter().filter(|k| **k == Kind::Locked).count() as u64;
     let report = BakeReport {
@@ -281,10 +315,11 @@ struct Clusters {
 
 impl Clusters {
     /// Cuts a surface, and puts it in the order of the clusters.
-    fn new(surface: &mut Surface, mut positions: Vec<[f64; 3]>, max_triangles: usize) -> Self {
+    fn new(surface: &mut Surface, mut positions: Vec<[f64; 3]>, max_triangles: usize, outside: &Outside) -> Self {
         let objects = std::mem::take(&mut surface.objects);
-        let mut segmentation =
-            segment_objects(&positions, &objects.of, &surface.triangles, surface.corners(), max_triangles);
+        let mut segmentation = outside.kept("segments", 0, || {
+            segment_objects(&positions, &objects.of, &surface.triangles, surface.corners(), max_triangles)
+        });
         let objects = ObjectClusters::new(&objects, &surface.triangles, &segmentation);
         surface.arrange(&mut positions, &mut segmentation);
         let triangles = surface.triangles.as_slice();

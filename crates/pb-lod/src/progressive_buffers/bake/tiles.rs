@@ -4,12 +4,12 @@ use super::assemble::Finished;
 use super::charting::Tiles;
 use super::lanes::run_bounded;
 use super::surface::Surface;
-use super::{Clusters, TextureInput, share_of};
+use super::{Clusters, Outside, Stage, TextureInput, share_of};
 use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_INSTANCES, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
 use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
 use glam::IVec3;
-use pb_archive::ArchiveError;
+use pb_archive::{ArchiveError, Spill};
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Texturing;
 use pb_mesh::texture::{
@@ -96,7 +96,7 @@ pub(super) fn fill_tiles(
     tiles: &Tiles,
     order: &[u32],
     model: &mut BakedModel,
-    progress: &(dyn Fn(f32) + Sync),
+    outside: &Outside,
 ) -> Result<(), ArchiveError> {
     let texels = tiles.tiles.iter().map(|t| u64::from(t.size) * u64::from(t.size)).sum();
     let maps = maps(input, finished.surface.has_colors, texels);
@@ -112,8 +112,10 @@ pub(super) fn fill_tiles(
         levels: finished.levels as u32,
     };
     let bytes: Vec<u64> = order.iter().map(|&c| baker.work_bytes(tiles.tiles[c as usize].size)).collect();
-    let share = share_of(order.len(), progress);
-    let baked = run_bounded(&bytes, TILE_WORK_BYTES, |new| share(baker.bake(order[new] as usize)));
+    let progress = |x| (outside.progress)(Stage::Textures, x);
+    let share = share_of(order.len(), &progress);
+    let tile = |new: usize| outside.try_kept("texels", new as u32, || baker.bake(order[new] as usize, outside.spill));
+    let baked = run_bounded(&bytes, TILE_WORK_BYTES, |new| share(tile(new)));
     for (tile, chunks) in baked? {
         model.tiles.push(tile);
         model.chunks.extend(chunks);
@@ -148,7 +150,7 @@ impl TileBaker<'_> {
     }
 
     /// The tile of cluster `c` and its texture chunks, finest level first.
-    fn bake(&self, c: usize) -> Result<(TileRecord, Vec<EncodedChunk>), ArchiveError> {
+    fn bake(&self, c: usize, spill: &Spill) -> Result<(TileRecord, Vec<EncodedChunk>), ArchiveError> {
         let tile = &self.tiles.tiles[c];
         let members = self.clusters.segmentation.cluster(c);
         let open_edges: Vec<u8> = members.iter().map(|&t| self.open_edges(t)).collect();
@@ -174,7 +176,7 @@ impl TileBaker<'_> {
                 let mip = std::mem::take(&mut encoded[map][(place.mip - u32::from(record.first[map])) as usize]);
                 if bytes.is_empty() { bytes = mip } else { bytes.extend(mip) }
             }
-            Ok(EncodedChunk { decoded_bytes: bytes.len() as u32, bytes: self.input.spill.put(bytes)? })
+            Ok(EncodedChunk { decoded_bytes: bytes.len() as u32, bytes: spill.put(bytes)? })
         };
         let chunks: Result<_, ArchiveError> = (0..self.levels).map(&mut chunk).collect();
         Ok((record, chunks?))
