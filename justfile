@@ -52,6 +52,10 @@ bench-reads *ARGS:
 bench-frame *ARGS:
     tools/bench-frame {{ARGS}}
 
+# scenes of a million loose parts and of ten thousand instances: baked and flown
+bench-parts *ARGS:
+    tools/bench-parts {{ARGS}}
+
 # frame times on this machine's adapter
 bench-view *ARGS:
     tools/bench-view {{ARGS}}

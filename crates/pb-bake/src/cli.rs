@@ -2,7 +2,7 @@
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use pb_bake::images::DecodeOptions;
-use pb_bake::import::ImportOptions;
+use pb_bake::import::{ImportOptions, Instancing};
 use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES, DEFAULT_TILE_SIZE};
 use pb_mesh::normals::{NormalOptions, NormalWeight};
 use pb_mesh::repair::RepairOptions;
@@ -74,6 +74,10 @@ pub struct BakeArgs {
     /// Threads to use; all cores unless given. The result is the same whatever their number
     #[arg(long, value_name = "N", value_parser = threads)]
     pub threads: Option<usize>,
+    /// Write repeated meshes of glTF scenes out as geometry, instead of keeping each once with its places
+    #[arg(long)]
+    pub expand_instances: bool,
+
     /// Base colour image for the inputs that have texture coordinates but name no image
     #[arg(long, value_name = "FILE")]
     pub texture: Option<PathBuf>,
@@ -186,7 +190,8 @@ impl BakeArgs {
 
     /// For [`pb_bake::import::load`].
     pub fn import_options(&self) -> ImportOptions {
-        ImportOptions { texture: self.texture.clone(), ..ImportOptions::default() }
+        let instancing = if self.expand_instances { Instancing::Expand } else { Instancing::Keep };
+        ImportOptions { texture: self.texture.clone(), instancing, ..ImportOptions::default() }
     }
 
     /// Where temporary files lie.

@@ -5,7 +5,7 @@ mod textured_obj;
 mod tile;
 
 use pb_lod::progressive_buffers::layout::Vertex;
-use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_lod::progressive_buffers::model::{Model, ModelError, Placed};
 use pb_lod::progressive_buffers::textures::MapKind;
 use pb_mesh::mesh::write_ply;
 use std::fs;
@@ -34,6 +34,14 @@ pub enum ExportError {
         path: PathBuf,
         /// That the file would have.
         bytes: u64,
+    },
+    /// More than there are numbers for.
+    #[error("{}: the level has {vertices} vertices where all instances stand, more than a mesh can count; write a coarser level instead", path.display())]
+    TooManyVertices {
+        /// As given.
+        path: PathBuf,
+        /// Of all instances.
+        vertices: u64,
     },
     /// The operating system refuses.
     #[error("{}: cannot be written: {source}; check the folder, its permissions and the space on the disk", path.display())]
@@ -69,6 +77,7 @@ pub struct ExportCounts {
 /// If there is no such level.
 pub fn write_level(path: &Path, model: &Model, level: u32) -> Result<ExportCounts, ExportError> {
     assert!(level < model.levels());
+    check_size(path, model, level)?;
     let mesh = match (model.textures(), extension(path).as_deref()) {
         (Some(_), Some("glb")) => return textured_glb::write(path, model, level),
         (Some(_), Some("obj")) => return textured_obj::write(path, model, level),
@@ -77,6 +86,19 @@ pub fn write_level(path: &Path, model: &Model, level: u32) -> Result<ExportCount
     };
     write_mesh(path, &mesh)?;
     Ok(ExportCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64, images: 0 })
+}
+
+/// Instances are written out, which may be more than a file has numbers for.
+fn check_size(path: &Path, model: &Model, level: u32) -> Result<(), ExportError> {
+    let of = |p: &Placed| {
+        let vertices: u64 = p.clusters.clone().map(|c| u64::from(model.level(c, level).vertices)).sum();
+        vertices.saturating_mul(p.placements.len() as u64)
+    };
+    let vertices = model.placed().iter().map(of).fold(0, u64::saturating_add);
+    match vertices < u64::from(u32::MAX) {
+        true => Ok(()),
+        false => Err(ExportError::TooManyVertices { path: path.to_owned(), vertices }),
+    }
 }
 
 /// A level with the colours of its tiles at the vertices, where it has any.

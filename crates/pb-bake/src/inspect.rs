@@ -4,7 +4,7 @@ mod textures;
 
 use crate::cli::{ExportArgs, InspectArgs, VerifyArgs};
 use crate::failure::{Failure, blame_input, blame_machine};
-use crate::report::{LevelBytes, LevelSummary, level_table, print_json, print_text};
+use crate::report::{LevelBytes, LevelSummary, PlacedSummary, level_table, print_json, print_text};
 use pb_bake::export::{ExportCounts, ExportError, write_level};
 use pb_lod::progressive_buffers::model::Model;
 use pb_lod::progressive_buffers::verify::{self, MAX_BREACHES};
@@ -21,6 +21,8 @@ struct Inspection {
     bytes: u64,
     bytes_per_input_triangle: f64,
     clusters: u32,
+    /// None in models whose parts all stand once.
+    placed: Option<PlacedSummary>,
     levels: Vec<LevelSummary>,
     /// Bytes of all chunks when decoded: what drawing everything at full detail needs.
     decoded_bytes: u64,
@@ -51,6 +53,7 @@ fn look(model: &Model) -> Inspection {
     let chunks = model.archive().chunks();
     let finest = || model.level_records().iter().step_by(levels).map(|l| l.triangles);
     let bytes = model.archive().file_bytes();
+    let [low, high] = model.world_bounds();
     Inspection {
         format_version: model.archive().header().version,
         scheme: model.archive().header().scheme.escape_ascii().to_string(),
@@ -58,17 +61,23 @@ fn look(model: &Model) -> Inspection {
         bytes,
         bytes_per_input_triangle: bytes as f64 / record.triangles_in.max(1) as f64,
         clusters: record.clusters,
+        placed: placed(model),
         levels: (0..levels).map(|level| look_at_level(model, level)).collect(),
         decoded_bytes: chunks.iter().map(|c| c.decoded_bytes as u64).sum(),
         colors: model.has_colors(),
         textures: TextureInspection::new(model),
-        bounds_min: model.world(record.bounds_min).to_array(),
-        bounds_max: model.world(record.bounds_max).to_array(),
+        bounds_min: low.to_array(),
+        bounds_max: high.to_array(),
         quantum: record.quantum,
         cluster_triangles_min: finest().min().unwrap_or(0),
         cluster_triangles_max: finest().max().unwrap_or(0),
         neighbours_max: model.clusters().iter().map(|c| c.neighbours_count).max().unwrap_or(0),
     }
+}
+
+fn placed(model: &Model) -> Option<PlacedSummary> {
+    let all = model.instances()?;
+    PlacedSummary::new(all.objects, all.instances, model.level_records(), model.levels())
 }
 
 fn look_at_level(model: &Model, level: usize) -> LevelSummary {
@@ -94,6 +103,9 @@ fn text(i: &Inspection) -> String {
         "clusters: {} of {} to {} triangles, at most {} neighbours",
         i.clusters, i.cluster_triangles_min, i.cluster_triangles_max, i.neighbours_max
     );
+    if let Some(placed) = &i.placed {
+        let _ = writeln!(text, "{}", placed.text());
+    }
     let _ = writeln!(text, "bounds: {:?} to {:?}, in steps of {:e}", i.bounds_min, i.bounds_max, i.quantum);
     let _ = writeln!(text, "colours: {}", if i.colors { "yes" } else { "no" });
     if let Some(textures) = &i.textures {
@@ -109,9 +121,10 @@ pub fn verify(args: &VerifyArgs) -> Result<(), Failure> {
     match verify::verify(&model) {
         Ok(_) if args.quiet => Ok(()),
         Ok(s) => print_text(&format!(
-            "{name}: sound: {} chunks in {} clusters, {}{} border and {} corner positions, {}\n",
+            "{name}: sound: {} chunks in {} clusters{}, {}{} border and {} corner positions, {}\n",
             s.chunks,
             model.record().clusters,
+            placed(&model).map(|p| format!(", {}", p.text())).unwrap_or_default(),
             textures::checked(&model),
             s.border_positions,
             s.corner_positions,

@@ -214,6 +214,7 @@ fn origin(args: &BakeArgs) -> String {
         ratio,
         cluster_triangles,
         threads: _,
+        expand_instances,
         texture,
         strict,
         charts,
@@ -240,6 +241,7 @@ fn origin(args: &BakeArgs) -> String {
     let _ = writeln!(text, "levels {levels} {ratio} {cluster_triangles}");
     let _ =
         writeln!(text, "textures {strict} {charts:?} {tile_size} {normal_map} {texture_quality:?} {texture_format:?}");
+    let _ = writeln!(text, "instances {expand_instances}");
     let _ = writeln!(text, "xatlas {xatlas_time_limit}");
     let _ = writeln!(text, "repairs {weld_tolerance} {crease_angle} {normals:?}");
     text

@@ -4,10 +4,11 @@ use crate::failure::{Failure, blame_machine};
 use crate::progress::StageTime;
 use crate::scene::TextureSummary;
 use pb_archive::FORMAT_VERSION;
-use pb_bake::import::InputReport;
+use pb_bake::import::{InputReport, InstanceCounts};
 use pb_bake::memory::Usage;
 use pb_lod::progressive_buffers::bake::BakeReport;
-use pb_lod::progressive_buffers::layout::{ModelLevelRecord, ModelRecord};
+use pb_lod::progressive_buffers::instances::{InstanceRecord, Instances, ObjectRecord};
+use pb_lod::progressive_buffers::layout::{LevelRecord, ModelLevelRecord, ModelRecord};
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::repair::RepairReport;
 use serde::Serialize;
@@ -125,6 +126,7 @@ struct InputSummary {
     bytes: u64,
     triangles: usize,
     vertices: usize,
+    instances: InstanceCounts,
     warnings: Vec<String>,
 }
 
@@ -171,6 +173,44 @@ impl Repairs {
     }
 }
 
+/// Objects that stand in several places.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct PlacedSummary {
+    /// Parts that are turned and moved as a whole; what stands once is one of them.
+    objects: usize,
+    instances: usize,
+    /// Triangles of all instances at level 0.
+    triangles: u64,
+}
+
+impl PlacedSummary {
+    /// From the tables of an archive with so many levels; none where there are no objects.
+    pub fn new(
+        objects: &[ObjectRecord],
+        instances: &[InstanceRecord],
+        levels: &[LevelRecord],
+        level_count: u32,
+    ) -> Option<Self> {
+        let triangles = |o: &ObjectRecord| {
+            let first = (o.first_cluster * level_count) as usize;
+            let of = levels[first..].iter().step_by(level_count as usize).take(o.cluster_count as usize);
+            of.map(|l| u64::from(l.triangles)).sum()
+        };
+        let all = Instances { objects, instances };
+        (!objects.is_empty()).then(|| Self {
+            objects: objects.len(),
+            instances: instances.len(),
+            triangles: all.placed(triangles),
+        })
+    }
+
+    /// For people.
+    pub fn text(&self) -> String {
+        let Self { objects, instances, triangles } = self;
+        format!("instances: {instances} of {objects} objects, {triangles} triangles where all stand")
+    }
+}
+
 /// The end of a bake.
 #[derive(Clone, Debug, Serialize)]
 pub struct BakeSummary {
@@ -180,6 +220,8 @@ pub struct BakeSummary {
     triangles_in: u64,
     bytes_per_input_triangle: f64,
     clusters: u32,
+    /// Where meshes stand in several places.
+    placed: Option<PlacedSummary>,
     levels: Vec<LevelSummary>,
     repairs: Repairs,
     inputs: Vec<InputSummary>,
@@ -207,6 +249,7 @@ impl BakeSummary {
             triangles_in: model.record.triangles_in,
             bytes_per_input_triangle: bytes as f64 / model.record.triangles_in.max(1) as f64,
             clusters: model.record.clusters,
+            placed: PlacedSummary::new(&model.objects, &model.instances, &model.levels, model.record.levels),
             levels: levels.map(|(i, record)| LevelSummary::new(i, record, acmr(i), stored(i))).collect(),
             repairs: Repairs { nonmanifold_positions_locked: baked.non_manifold_positions, ..Repairs::default() },
             inputs: Vec::new(),
@@ -251,6 +294,7 @@ impl BakeSummary {
             bytes: i.bytes,
             triangles: i.triangles,
             vertices: i.vertices,
+            instances: i.instances,
             warnings: i.warnings.clone(),
         };
         self.inputs = inputs.iter().map(input).collect();
@@ -278,6 +322,10 @@ impl BakeSummary {
     pub fn text(&self) -> String {
         let mut text = level_table(&self.levels);
         let _ = writeln!(text, "repairs: {}", self.repairs.text());
+        if let Some(placed) = &self.placed {
+            let apart: u64 = self.inputs.iter().map(|i| i.instances.apart).sum();
+            let _ = writeln!(text, "{}, {apart} places written out as geometry", placed.text());
+        }
         if let Some(textures) = &self.textures {
             let _ = writeln!(text, "{}", textures.text());
         }

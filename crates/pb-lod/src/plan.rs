@@ -141,12 +141,23 @@ pub struct Want {
 }
 
 /// One indexed draw of a cluster.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Draw {
     /// Cluster index.
     pub cluster: u32,
     /// Level whose index buffer is drawn.
     pub level: u32,
+    /// Instance of the cluster's object; 0 where the archive has none.
+    pub instance: u32,
+}
+
+/// A part of the coarse buffer, drawn for one instance.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CoarseDraw {
+    /// As in [`Draw`].
+    pub instance: u32,
+    /// In the coarse buffer's indices.
+    pub indices: std::ops::Range<u32>,
 }
 
 /// What to draw, what to load, what may go.
@@ -154,8 +165,8 @@ pub struct Draw {
 pub struct Plan {
     /// Clusters drawn on their own, finest first, then near to far.
     pub draws: Vec<Draw>,
-    /// Index ranges of the coarse buffer, in indices.
-    pub coarse: Vec<std::ops::Range<u32>>,
+    /// Ranges of the coarse buffer, by instance.
+    pub coarse: Vec<CoarseDraw>,
     /// Chunks wanted, most urgent first, each once; includes those already resident.
     pub wants: Vec<Want>,
     /// Retiring chunks that nothing drawn depends on any more: the cache may free them now.

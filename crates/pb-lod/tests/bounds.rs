@@ -116,3 +116,26 @@ fn each_level_of_a_closed_mesh_has_a_quarter_of_the_vertices() {
         }
     }
 }
+
+/// Tetrahedra by themselves, spread over a unit cube.
+fn crumbs(count: u32) -> Soup {
+    let (mut soup, mut random) = (Soup::default(), Random(77));
+    for i in 0..count {
+        let center: [f64; 3] = std::array::from_fn(|_| random.next());
+        let size = 0.005 * (0.5 + random.next());
+        let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
+        soup.positions.extend(corners.map(|c: [f64; 3]| std::array::from_fn(|k| center[k] + c[k] * size)));
+        soup.triangles.extend([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]].map(|t: [u32; 3]| t.map(|v| v + 4 * i)));
+    }
+    soup
+}
+
+#[test]
+fn each_level_of_loose_parts_draws_a_quarter_of_them() {
+    let model = baked(crumbs(8000), &BakeOptions { cluster_triangles: 8000, ..BakeOptions::default() });
+    let rows = model.model_levels();
+    for level in 1..rows.len() {
+        let ratio = rows[level - 1].triangles as f64 / rows[level].triangles as f64;
+        assert!((ratio / 4.0 - 1.0).abs() < 0.05, "level {level}: {ratio} times fewer triangles");
+    }
+}

@@ -4,6 +4,7 @@
 //! Positions stay in double precision from the file to the archive's integer grid, so that models far from the
 //! origin keep their detail. Nothing here repairs or judges a mesh; see [`crate::repair`].
 
+use crate::objects::Objects;
 use std::io::{self, Write};
 
 /// In [`Soup::material_of`]: a triangle of an input without materials, beside others that have some.
@@ -29,6 +30,8 @@ pub struct Soup {
     pub uv_sets: Vec<Vec<[f32; 2]>>,
     /// Empty, or one per triangle: index into the scene's materials, or [`NO_MATERIAL`].
     pub material_of: Vec<u32>,
+    /// Which records belong to which object; no triangle has corners of two objects.
+    pub objects: Objects,
     /// Faces of the input with more than three corners.
     pub polygons_triangulated: u64,
     /// Vertices that no face uses and that the reader has left out already.
@@ -59,6 +62,7 @@ impl Soup {
         for (set, more) in self.uv_sets.iter_mut().zip(their_sets) {
             append_attribute(set, more, mine, theirs, [0.0; 2]);
         }
+        self.objects.append(other.objects, mine, theirs);
         let counts = (self.triangles.len(), other.triangles.len());
         append_attribute(&mut self.material_of, other.material_of, counts.0, counts.1, NO_MATERIAL);
         self.positions.extend(other.positions);
@@ -105,6 +109,8 @@ pub struct Mesh {
     pub has_colors: bool,
     /// Where some material has an image.
     pub texturing: Option<Texturing>,
+    /// Which positions belong to which object; no triangle has corners of two objects.
+    pub objects: Objects,
 }
 
 /// Which images lie how on the triangles of a [`Mesh`].

@@ -143,13 +143,14 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
         unreferenced_dropped: soup.unreferenced_left_out,
         ..RepairReport::default()
     };
-    let Soup { positions, mut normals, colors, triangles: mut records, uv_sets, mut material_of, .. } = soup;
+    let Soup { positions, mut normals, colors, triangles: mut records, uv_sets, mut material_of, mut objects, .. } =
+        soup;
     if options.input_normals == InputNormals::Ignore {
         normals.clear();
     }
-    let stands_for = weld(&positions, options.weld_tolerance);
+    let stands_for = weld(&positions, &objects.of, options.weld_tolerance);
     drop_degenerate(&stands_for, &mut records, &mut material_of, &mut report);
-    let (positions, mut triangles) = number_positions(positions, &stands_for, &records, &mut report);
+    let (positions, mut triangles) = number_positions(positions, &stands_for, &records, &mut objects.of, &mut report);
     drop(stands_for);
     if triangles.is_empty() {
         let RepairReport { triangles_in, degenerate_removed: degenerate, .. } = report;
@@ -182,7 +183,7 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
     report.normals_repaired = made.normals_repaired;
     let texturing = (!material_of.is_empty()).then(|| texturing(material_of, uv_sets, &records, &mut report));
     let (wedges, triangles) = (made.wedges, made.triangles);
-    let mut mesh = Mesh { wedges, triangles, has_colors: !colors.is_empty(), positions, texturing };
+    let mut mesh = Mesh { wedges, triangles, has_colors: !colors.is_empty(), positions, texturing, objects };
     if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
         report.positions_split = split_non_manifold(&mut mesh);
     }
@@ -193,6 +194,7 @@ fn check(soup: &Soup, options: &RepairOptions) -> Result<(), MeshError> {
     let count = soup.positions.len();
     assert!(count < u32::MAX as usize, "record indices are 32 bits wide");
     assert!(soup.normals.is_empty() || soup.normals.len() == count, "one normal per record");
+    assert!(soup.objects.of.is_empty() || soup.objects.of.len() == count, "one object per record");
     assert!(soup.colors.is_empty() || soup.colors.len() == count, "one colour per record");
     let materials = soup.material_of.len();
     assert!(
@@ -213,9 +215,9 @@ fn check(soup: &Soup, options: &RepairOptions) -> Result<(), MeshError> {
     }
 }
 
-fn weld(positions: &[[f64; 3]], tolerance: f64) -> Vec<u32> {
-    let first = weld_exact(positions);
-    if tolerance > 0.0 { weld_within(positions, &first, tolerance) } else { first }
+fn weld(positions: &[[f64; 3]], object_of: &[u32], tolerance: f64) -> Vec<u32> {
+    let first = weld_exact(positions, object_of);
+    if tolerance > 0.0 { weld_within(positions, object_of, &first, tolerance) } else { first }
 }
 
 /// Removes the triangles in which a position repeats.
@@ -238,12 +240,13 @@ fn drop_degenerate(
     report.degenerate_removed = (before - records.len()) as u64;
 }
 
-/// Numbers the positions that triangles use, in the order of their first record. The answer's triangles are position
-/// indices.
+/// Numbers the positions that triangles use, in the order of their first record, with their objects. The answer's
+/// triangles are position indices.
 fn number_positions(
     mut positions: Vec<[f64; 3]>,
     stands_for: &[u32],
     records: &[[u32; 3]],
+    object_of: &mut Vec<u32>,
     report: &mut RepairReport,
 ) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     let mut number = vec![u32::MAX; positions.len()];
@@ -256,6 +259,9 @@ fn number_positions(
         welded += u64::from(stands_for[record] as usize != record);
         if number[record] != u32::MAX {
             positions[used as usize] = positions[record].map(|x| x + 0.0);
+            if !object_of.is_empty() {
+                object_of[used as usize] = object_of[record];
+            }
             number[record] = used;
             used += 1;
         }
@@ -263,6 +269,7 @@ fn number_positions(
     report.positions_welded = welded;
     report.unreferenced_dropped += positions.len() as u64 - welded - u64::from(used);
     positions.truncate(used as usize);
+    object_of.truncate(used as usize);
     positions.shrink_to_fit();
     let numbered = |t: &[u32; 3]| t.map(|r| number[stands_for[r as usize] as usize]);
     let triangles = records.par_iter().map(numbered).collect();

@@ -57,11 +57,31 @@ pub fn segment(
     corners: &[[u32; 3]],
     max_triangles: usize,
 ) -> Segmentation {
+    segment_objects(positions, &[], triangles, corners, max_triangles)
+}
+
+/// The same where positions belong to objects ([`Objects::of`](crate::objects::Objects::of), empty where there is one): no
+/// cluster has triangles of two objects, and the clusters of lower objects come first.
+pub fn segment_objects(
+    positions: &[[f64; 3]],
+    object_of: &[u32],
+    triangles: &[[u32; 3]],
+    corners: &[[u32; 3]],
+    max_triangles: usize,
+) -> Segmentation {
     assert!(max_triangles > 0 && corners.len() == triangles.len());
     let components = components(positions.len(), triangles);
     let mut items = keys(positions, triangles, &components, max_triangles / SMALL_COMPONENT);
     let mut sizes = Vec::new();
-    split(&mut items, max_triangles, corners, &mut sizes);
+    if object_of.is_empty() {
+        split(&mut items, max_triangles, corners, &mut sizes);
+    } else {
+        let object = |i: &Item| object_of[triangles[i.triangle as usize][0] as usize];
+        items.par_sort_by_key(object);
+        for run in items.chunk_by_mut(|a, b| object(a) == object(b)) {
+            split(run, max_triangles, corners, &mut sizes);
+        }
+    }
     let mut order: Vec<u32> = items.par_iter().map(|i| i.triangle).collect();
     drop(items);
     let (mut starts, mut runs, mut rest) = (vec![0], Vec::with_capacity(sizes.len()), order.as_mut_slice());

@@ -28,6 +28,9 @@ pub fn split_non_manifold(mesh: &mut Mesh) -> u64 {
         for fan in fans_of(v, fans.around(v), &triangles, &links).into_iter().skip(1) {
             let copy = mesh.positions.len() as u32;
             mesh.positions.push(mesh.positions[v as usize]);
+            if !mesh.objects.of.is_empty() {
+                mesh.objects.of.push(mesh.objects.of[v as usize]);
+            }
             moved.extend(fan.into_iter().map(|t| (copy, t, v)));
         }
     }

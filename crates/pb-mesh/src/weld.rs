@@ -18,17 +18,22 @@ const EMPTY: u32 = u32::MAX;
 
 /// For each position the lowest index that has the same position; `-0.0` equals `0.0`.
 ///
+/// Positions of different objects are never the same; `object_of` is empty where there is one object.
+///
 /// Takes fewer than `u32::MAX` finite positions.
-pub fn weld_exact(positions: &[[f64; 3]]) -> Vec<u32> {
+pub fn weld_exact(positions: &[[f64; 3]], object_of: &[u32]) -> Vec<u32> {
     assert!(positions.len() < EMPTY as usize, "record indices are 32 bits wide");
+    assert!(object_of.is_empty() || object_of.len() == positions.len(), "one object per position");
     let shard_count = (positions.len() / SHARD).next_power_of_two().min(MAX_SHARD_COUNT);
     let chunks: Vec<Partition> = positions
         .par_chunks(CHUNK)
         .enumerate()
         .map(|(chunk, part)| Partition::new(part, chunk * CHUNK, shard_count))
         .collect();
-    let repeats: Vec<Vec<(u32, u32)>> =
-        (0..shard_count).into_par_iter().map(|shard| repeats_of_shard(positions, &chunks, shard)).collect();
+    let repeats: Vec<Vec<(u32, u32)>> = (0..shard_count)
+        .into_par_iter()
+        .map(|shard| repeats_of_shard((positions, object_of), &chunks, shard))
+        .collect();
     let mut first: Vec<u32> = (0..positions.len() as u32).collect();
     for (record, earlier) in repeats.into_iter().flatten() {
         first[record as usize] = earlier;
@@ -38,11 +43,11 @@ pub fn weld_exact(positions: &[[f64; 3]]) -> Vec<u32> {
 
 /// For each position the lowest index that stands for it: an earlier standing position at most `tolerance` away, the
 /// lowest of them, else its own. `first` is the answer of [`weld_exact`].
-pub fn weld_within(positions: &[[f64; 3]], first: &[u32], tolerance: f64) -> Vec<u32> {
+pub fn weld_within(positions: &[[f64; 3]], object_of: &[u32], first: &[u32], tolerance: f64) -> Vec<u32> {
     assert!(tolerance > 0.0 && tolerance.is_finite() && first.len() == positions.len());
     let cell_of = |p: &[f64; 3]| p.map(|x| (x / tolerance).floor());
-    let key = |cell: [f64; 3]| cell.map(|x| (x + 0.0).to_bits());
-    let mut standing: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
+    let key = |i: usize, cell: [f64; 3]| (object_of.get(i).copied().unwrap_or(0), cell.map(|x| (x + 0.0).to_bits()));
+    let mut standing: HashMap<(u32, [u64; 3]), Vec<u32>> = HashMap::new();
     let mut stands_for = first.to_vec();
     for (i, p) in positions.iter().enumerate() {
         if first[i] as usize != i {
@@ -51,14 +56,14 @@ pub fn weld_within(positions: &[[f64; 3]], first: &[u32], tolerance: f64) -> Vec
         }
         let cell = cell_of(p);
         let found = neighbours(cell)
-            .filter_map(|cell| standing.get(&key(cell)))
+            .filter_map(|cell| standing.get(&key(i, cell)))
             .flatten()
             .copied()
             .filter(|&j| distance_squared(&positions[j as usize], p) <= tolerance * tolerance)
             .min();
         match found {
             Some(j) => stands_for[i] = j,
-            None => standing.entry(key(cell)).or_default().push(i as u32),
+            None => standing.entry(key(i, cell)).or_default().push(i as u32),
         }
     }
     stands_for
@@ -108,11 +113,16 @@ impl Partition {
 }
 
 /// (record, lowest record with the same position) for all but the first of each group.
-fn repeats_of_shard(positions: &[[f64; 3]], chunks: &[Partition], shard: usize) -> Vec<(u32, u32)> {
+fn repeats_of_shard(
+    (positions, object_of): (&[[f64; 3]], &[u32]),
+    chunks: &[Partition],
+    shard: usize,
+) -> Vec<(u32, u32)> {
     let count: usize = chunks.iter().map(|c| c.shard(shard).len()).sum();
     let mask = (2 * count).next_power_of_two() - 1;
     let mut table = vec![(0u32, EMPTY); mask + 1];
     let mut repeats = Vec::new();
+    let together = |a: u32, b: u32| object_of.is_empty() || object_of[a as usize] == object_of[b as usize];
     for &(hash, record) in chunks.iter().flat_map(|c| c.shard(shard)) {
         let mut slot = hash as usize & mask;
         loop {
@@ -121,7 +131,8 @@ fn repeats_of_shard(positions: &[[f64; 3]], chunks: &[Partition], shard: usize) 
                 table[slot] = (hash, record);
                 break;
             }
-            if other_hash == hash && positions[other as usize] == positions[record as usize] {
+            let same = other_hash == hash && positions[other as usize] == positions[record as usize];
+            if same && together(other, record) {
                 repeats.push((record, other));
                 break;
             }
@@ -149,15 +160,15 @@ mod tests {
     #[test]
     fn equal_positions_share_the_lowest_index_and_minus_zero_is_zero() {
         let positions = [[0.0, 1.0, 2.0], [-0.0, 1.0, 2.0], [0.0, 1.0, 2.0 + 1e-15], [0.0, 1.0, 2.0]];
-        assert_eq!(weld_exact(&positions), [0, 0, 2, 0]);
-        assert!(weld_exact(&[]).is_empty());
+        assert_eq!(weld_exact(&positions, &[]), [0, 0, 2, 0]);
+        assert!(weld_exact(&[], &[]).is_empty());
     }
 
     #[test]
     fn tolerance_joins_across_cell_borders_and_chooses_the_lowest() {
         let positions = [[0.99, 0.0, 0.0], [1.01, 0.0, 0.0], [1.2, 0.0, 0.0], [-0.005, 0.0, 0.0], [0.99, 0.0, 0.0]];
-        let first = weld_exact(&positions);
-        assert_eq!(weld_within(&positions, &first, 0.1), [0, 0, 2, 3, 0]);
+        let first = weld_exact(&positions, &[]);
+        assert_eq!(weld_within(&positions, &[], &first, 0.1), [0, 0, 2, 3, 0]);
     }
 
     #[test]
@@ -167,17 +178,26 @@ mod tests {
         let mut seen = HashMap::new();
         let expected: Vec<u32> =
             positions.iter().enumerate().map(|(i, p)| *seen.entry(p.map(f64::to_bits)).or_insert(i as u32)).collect();
-        assert_eq!(weld_exact(&positions), expected);
+        assert_eq!(weld_exact(&positions, &[]), expected);
     }
 
     proptest! {
         #[test]
         fn nothing_moves_further_than_the_tolerance(points in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..200)) {
-            let stands_for = weld_within(&points, &weld_exact(&points), 0.2);
+            let stands_for = weld_within(&points, &[], &weld_exact(&points, &[]), 0.2);
             for (i, &j) in stands_for.iter().enumerate() {
                 prop_assert!(distance_squared(&points[i], &points[j as usize]) <= 0.04 + 1e-12);
                 prop_assert!(j as usize <= i && stands_for[j as usize] == j);
             }
         }
+    }
+
+    #[test]
+    fn equal_positions_of_two_objects_stay_two() {
+        let positions = [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.05]];
+        let objects = [0, 7, 0, 7];
+        let first = weld_exact(&positions, &objects);
+        assert_eq!(first, [0, 1, 0, 3]);
+        assert_eq!(weld_within(&positions, &objects, &first, 0.1), [0, 1, 0, 1]);
     }
 }

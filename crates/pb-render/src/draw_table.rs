@@ -52,7 +52,7 @@ impl DrawTable {
         draws.iter().map(|draw| self.argument(draw)).collect()
     }
 
-    fn argument(&self, &Draw { cluster, level }: &Draw) -> DrawArguments {
+    pub(crate) fn argument(&self, &Draw { cluster, level, .. }: &Draw) -> DrawArguments {
         let slot = (cluster * self.levels + level) as usize;
         let range = self.heap.range(slot).expect("only resident chunks are drawn (I5)");
         let [vertices, indices] = self.sizes[slot];

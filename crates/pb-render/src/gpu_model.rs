@@ -4,18 +4,20 @@
 //! Must never: exceed the bound; read the archive; decide what is resident (the caller does).
 
 use pb_lod::plan::ChunkId;
+use pb_lod::progressive_buffers::instances::Instances;
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, ModelRecord, Vertex};
 use pb_lod::progressive_buffers::model::{FLAG_COLORS, FLAG_CUTOUT};
 use pb_lod::progressive_buffers::textures::Textures;
 use wgpu::BufferUsages;
 
+use crate::crowd::{Crowd, Room};
 use crate::draw_table::DrawTable;
 use crate::error::RenderError;
 use crate::gpu::Gpu;
 use crate::heap::{HeapFull, Move, UNIT_BYTES, plannable_units};
 use crate::share::{Party, share};
 use crate::squares::PagesFull;
-use crate::tables::{ClusterGpu, DrawArguments, LevelGpu};
+use crate::tables::{ClusterGpu, LevelGpu};
 use crate::texture_pool::PageLimits;
 use crate::tiles::{GpuTiles, TexturePlan};
 
@@ -35,6 +37,8 @@ pub struct ModelTables<'a> {
     pub neighbours: &'a [u32],
     /// Where the model has textures.
     pub textures: Option<Textures<'a>>,
+    /// Objects and instances, where the model has them.
+    pub instances: Option<Instances<'a>>,
 }
 
 impl ModelTables<'_> {
@@ -140,12 +144,13 @@ impl VramPlan {
         let coarse_units = tables.coarse_sum(|c| tables.new_vertices(c));
         let largest_units = tables.finer().max().unwrap_or(0);
         let coarse_index_bytes = tables.coarse_sum(|c| tables.levels[c].triangles) * 12;
-        let per_cluster = (size_of::<ClusterGpu>() + size_of::<DrawArguments>() + size_of::<f32>()) as u64;
+        let room = Room::new(tables);
+        let per_cluster = (size_of::<ClusterGpu>() + size_of::<f32>()) as u64;
         let per_chunk = (size_of::<LevelGpu>() + size_of::<f32>()) as u64;
         let fixed_bytes = clusters * per_cluster
             + chunks * per_chunk
-            + tables.neighbours.len().max(1) as u64 * 4
-            + coarse_units * 4
+            + (tables.neighbours.len() as u64 + coarse_units).max(1) * 4
+            + room.bytes()
             + coarse_index_bytes
             + largest_units as u64 * UNIT_BYTES;
         let mut plan = Self { fixed_bytes, coarse_units, heap_units: 0, largest_units, textures: None };
@@ -221,12 +226,17 @@ pub struct GpuModel {
     pub(crate) level_buffer: wgpu::Buffer,
     pub(crate) distance_buffer: wgpu::Buffer,
     pub(crate) floor_buffer: wgpu::Buffer,
-    pub(crate) neighbour_buffer: wgpu::Buffer,
-    pub(crate) coarse_cluster_buffer: wgpu::Buffer,
+    /// Neighbour lists, then the cluster of each vertex of the coarse buffer.
+    pub(crate) link_buffer: wgpu::Buffer,
+    pub(crate) first_owner: u32,
+    /// What instances need in each frame.
+    pub(crate) frame_buffer: wgpu::Buffer,
     pub(crate) coarse_index_buffer: wgpu::Buffer,
     pub(crate) argument_buffer: wgpu::Buffer,
     scratch: wgpu::Buffer,
     pub(crate) draws: DrawTable,
+    /// Where the model has instances.
+    pub(crate) crowd: Option<Crowd>,
     plan: VramPlan,
     /// As on the adapter.
     level_table: Vec<LevelGpu>,
@@ -255,6 +265,7 @@ impl GpuModel {
         };
         let storage = BufferUsages::STORAGE;
         let (clusters, chunks) = (t.clusters.len() as u64, t.levels.len() as u64);
+        let room = Room::new(t);
         let heap_usage = storage | BufferUsages::INDEX | BufferUsages::COPY_SRC;
         let mut out = Self {
             levels: t.model.levels,
@@ -265,16 +276,18 @@ impl GpuModel {
             level_buffer: buffer("levels", chunks * size_of::<LevelGpu>() as u64, storage),
             distance_buffer: buffer("distances", chunks * 4, storage),
             floor_buffer: buffer("floors", clusters * 4, storage),
-            neighbour_buffer: buffer("neighbours", t.neighbours.len() as u64 * 4, storage),
-            coarse_cluster_buffer: buffer("coarse clusters", plan.coarse_units * 4, storage),
+            link_buffer: buffer("links", (t.neighbours.len() as u64 + plan.coarse_units) * 4, storage),
+            first_owner: t.neighbours.len() as u32,
+            frame_buffer: buffer("frame", room.frame_bytes(), storage),
             coarse_index_buffer: buffer(
                 "coarse indices",
                 t.coarse_sum(|c| t.levels[c].triangles) * 12,
                 BufferUsages::INDEX,
             ),
-            argument_buffer: buffer("draws", clusters * size_of::<DrawArguments>() as u64, BufferUsages::INDIRECT),
+            argument_buffer: buffer("draws", room.argument_bytes(), BufferUsages::INDIRECT),
             scratch: buffer("scratch", plan.largest_units as u64 * UNIT_BYTES, BufferUsages::COPY_SRC),
             draws: DrawTable::new(t, plan.heap_units as u32, plan.coarse_units as u32),
+            crowd: t.instances.map(|instances| Crowd::new(&instances, t.model, room)),
             plan,
             level_table: t.levels.iter().map(|l| LevelGpu { vertices: l.vertices, base: 0 }).collect(),
             coarse_first: vec![0],
@@ -294,7 +307,7 @@ impl GpuModel {
         };
         let clusters: Vec<ClusterGpu> = t.clusters.iter().map(cluster).collect();
         gpu.queue.write_buffer(&self.cluster_buffer, 0, bytemuck::cast_slice(&clusters));
-        gpu.queue.write_buffer(&self.neighbour_buffer, 0, bytemuck::cast_slice(t.neighbours));
+        gpu.queue.write_buffer(&self.link_buffer, 0, bytemuck::cast_slice(t.neighbours));
     }
 
     fn upload_coarse(&mut self, gpu: &Gpu, coarse: &[ChunkData]) {
@@ -315,7 +328,7 @@ impl GpuModel {
             self.coarse_first.push(indices.len() as u32);
         }
         gpu.queue.write_buffer(&self.heap_buffer, 0, bytemuck::cast_slice(&vertices));
-        gpu.queue.write_buffer(&self.coarse_cluster_buffer, 0, bytemuck::cast_slice(&owners));
+        gpu.queue.write_buffer(&self.link_buffer, u64::from(self.first_owner) * 4, bytemuck::cast_slice(&owners));
         gpu.queue.write_buffer(&self.coarse_index_buffer, 0, bytemuck::cast_slice(&indices));
         gpu.queue.write_buffer(&self.level_buffer, 0, bytemuck::cast_slice(&self.level_table));
     }

@@ -7,6 +7,7 @@
 //! Must never: know of windows, user interfaces, files or threads; decide what is resident or drawn.
 
 mod camera;
+mod crowd;
 mod draw_table;
 mod error;
 mod gpu;
@@ -30,6 +31,6 @@ pub use heap::{HeapFull, Move, Range, UNIT_BYTES};
 pub use pipelines::{ColorMode, DISPLAY_WGSL, PictureFormat, ShaderKind, Style, shader_source};
 pub use renderer::{BACKGROUND_SRGB, Renderer, Scene};
 pub use squares::PagesFull;
-pub use tables::{ClusterGpu, DrawArguments, LevelGpu, ViewUniform};
+pub use tables::{ClusterGpu, DrawArguments, DrawGpu, LevelGpu, StandGpu, ViewUniform};
 pub use target::{Canvas, DEPTH_FORMAT, Offscreen, Samples, Surface};
 pub use texture_pool::PageLimits;

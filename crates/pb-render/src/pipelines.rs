@@ -119,10 +119,12 @@ impl Pipelines {
             bind_group_layouts: if kind.textured { &layouts } else { &layouts[..1] },
             immediate_size: 0,
         });
-        let vertex_constants = [("level_count", model.levels as f64)];
+        let instanced = ("instanced", model.crowd.is_some() as u32 as f64);
+        let vertex_constants = [("level_count", model.levels as f64), instanced];
         let mut constants = vec![("cutouts", tiles.is_some_and(|t| t.cutouts) as u32 as f64)];
         constants.push(("samples", picture.samples as u32 as f64));
         constants.extend(tiles.map(|t| ("object_normals", t.object_normals() as u32 as f64)));
+        constants.extend(tiles.map(|_| instanced));
         let make = |entry: &str, mode: wgpu::PolygonMode| {
             let wanted = mode == wgpu::PolygonMode::Fill || gpu.wireframe;
             let stages = (&vertex_constants[..], &constants[..]);
@@ -155,8 +157,8 @@ impl Pipelines {
             &model.level_buffer,
             &model.distance_buffer,
             &model.floor_buffer,
-            &model.neighbour_buffer,
-            &model.coarse_cluster_buffer,
+            &model.link_buffer,
+            &model.frame_buffer,
         ];
         buffers.extend(model.tiles.as_ref().map(|t| &t.table_buffer));
         let entries: Vec<_> = (0..)

@@ -8,12 +8,13 @@ use pb_lod::progressive_buffers::display::GridEye;
 use pb_lod::progressive_buffers::textures::MapKind;
 
 use crate::camera::Camera;
+use crate::crowd::Batch;
 use crate::error::RenderError;
 use crate::gpu::Gpu;
 use crate::gpu_model::{Coarse, GpuModel, ModelTables};
 use crate::pipelines::{PictureFormat, Pipelines, Style};
 use crate::tables::{DrawArguments, ViewUniform};
-use crate::target::Surface;
+use crate::target::{FramePass, Surface};
 use crate::tiles::GpuTiles;
 
 /// Most samples along the longer axis of a pixel's footprint.
@@ -101,17 +102,36 @@ impl Renderer {
         if let Some(tiles) = &self.model.tiles {
             tiles.write_floors(gpu, &scene.plan.texture_floors);
         }
-        let arguments = self.model.draws.arguments(&scene.plan.draws);
+        let Some(crowd) = &self.model.crowd else {
+            let arguments = self.model.draws.arguments(&scene.plan.draws);
+            let whole = FramePass { is_first: true, is_last: true };
+            self.pass(gpu, surface, whole, |pass| {
+                self.draw_clusters(gpu, pass, &arguments, scene.style);
+                self.draw_coarse(pass, scene);
+            });
+            return;
+        };
+        let batches = crowd.batches(scene.plan, scene.camera.eye, &self.model.draws);
+        for (i, batch) in batches.iter().enumerate() {
+            let part = FramePass { is_first: i == 0, is_last: i + 1 == batches.len() };
+            gpu.queue.write_buffer(&self.model.frame_buffer, 0, bytemuck::cast_slice(&batch.stands));
+            let draws = crowd.first_draw() as u64 * 16;
+            gpu.queue.write_buffer(&self.model.frame_buffer, draws, bytemuck::cast_slice(&batch.draws));
+            self.pass(gpu, surface, part, |pass| self.draw_batch(gpu, pass, batch, scene.style));
+        }
+    }
+
+    /// One pass with everything bound.
+    fn pass(&self, gpu: &Gpu, surface: &Surface, part: FramePass, draw: impl FnOnce(&mut wgpu::RenderPass)) {
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         {
             let [r, g, b] = BACKGROUND_SRGB.map(|c| linear(c as f64 / 255.0));
-            let mut pass = surface.canvas.begin(&mut encoder, surface.color, wgpu::Color { r, g, b, a: 1.0 });
+            let mut pass = surface.canvas.begin(&mut encoder, surface.color, wgpu::Color { r, g, b, a: 1.0 }, part);
             pass.set_bind_group(0, &self.bind_group, &[]);
             if let Some(group) = &self.texture_group {
                 pass.set_bind_group(1, group, &[]);
             }
-            self.draw_clusters(gpu, &mut pass, &arguments, scene.style);
-            self.draw_coarse(&mut pass, scene);
+            draw(&mut pass);
         }
         gpu.queue.submit([encoder.finish()]);
     }
@@ -122,9 +142,24 @@ impl Renderer {
         }
         pass.set_pipeline(self.pipelines.clusters(style));
         pass.set_index_buffer(self.model.heap_buffer.slice(..), wgpu::IndexFormat::Uint16);
+        self.draw_all(gpu, pass, arguments, 0);
+    }
+
+    fn draw_batch(&self, gpu: &Gpu, pass: &mut wgpu::RenderPass, batch: &Batch, style: Style) {
+        self.draw_clusters(gpu, pass, &batch.arguments, style);
+        if !batch.coarse.is_empty() {
+            pass.set_pipeline(self.pipelines.coarse(style));
+            pass.set_index_buffer(self.model.coarse_index_buffer.slice(..), wgpu::IndexFormat::Uint32);
+            self.draw_all(gpu, pass, &batch.coarse, batch.arguments.len());
+        }
+    }
+
+    /// With one call where that can be; the arguments go behind `before` others.
+    fn draw_all(&self, gpu: &Gpu, pass: &mut wgpu::RenderPass, arguments: &[DrawArguments], before: usize) {
         if self.multi_draw {
-            gpu.queue.write_buffer(&self.model.argument_buffer, 0, bytemuck::cast_slice(arguments));
-            pass.multi_draw_indexed_indirect(&self.model.argument_buffer, 0, arguments.len() as u32);
+            let offset = (before * size_of::<DrawArguments>()) as u64;
+            gpu.queue.write_buffer(&self.model.argument_buffer, offset, bytemuck::cast_slice(arguments));
+            pass.multi_draw_indexed_indirect(&self.model.argument_buffer, offset, arguments.len() as u32);
             return;
         }
         for a in arguments {
@@ -143,7 +178,7 @@ impl Renderer {
         pass.set_pipeline(self.pipelines.coarse(scene.style));
         pass.set_index_buffer(self.model.coarse_index_buffer.slice(..), wgpu::IndexFormat::Uint32);
         for range in &scene.plan.coarse {
-            pass.draw_indexed(range.clone(), 0, 0..1);
+            pass.draw_indexed(range.indices.clone(), 0, 0..1);
         }
     }
 
@@ -163,7 +198,9 @@ impl Renderer {
             maps: self.model.tiles.as_ref().map_or(u32::MAX, map_places),
             anisotropy: scene.style.anisotropy.clamp(1, MAX_ANISOTROPY) as f32,
             tone_map: (self.picture.color != wgpu::TextureFormat::Rgba16Float) as u32,
-            reserved: 0,
+            first_owner: self.model.first_owner,
+            first_draw: self.model.crowd.as_ref().map_or(0, |c| c.first_draw()),
+            reserved: [0; 3],
         };
         gpu.queue.write_buffer(&self.view_buffer, 0, bytemuck::bytes_of(&view));
     }

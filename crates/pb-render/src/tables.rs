@@ -34,8 +34,12 @@ pub struct ViewUniform {
     pub anisotropy: f32,
     /// 1 where the picture cannot hold light brighter than 1.
     pub tone_map: u32,
+    /// Where among the links the clusters of the coarse buffer's vertices begin.
+    pub first_owner: u32,
+    /// Where in the frame's words the draws begin.
+    pub first_draw: u32,
     /// Zero.
-    pub reserved: u32,
+    pub reserved: [u32; 3],
 }
 
 /// `Cluster` in display.wgsl.
@@ -74,12 +78,42 @@ pub struct DrawArguments {
     pub first_index: u32,
     /// 0: indices are local to their cluster.
     pub base_vertex: i32,
-    /// `cluster * 16 + level`.
+    /// `cluster * 16 + level`; where there are instances, number of the [`DrawGpu`], or of the [`StandGpu`] in draws of the
+    /// coarse buffer.
     pub first_instance: u32,
 }
 
+/// How an instance stands in a frame: what `stand_of` in display.wgsl reads from five words.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct StandGpu {
+    /// Grid cell of the eye, as the object has it.
+    pub eye_cell: [i32; 3],
+    /// What multiplies a distance in the object before it is compared with switch distances.
+    pub stretch: f32,
+    /// Eye relative to its cell, object units.
+    pub eye_rest: [f32; 3],
+    /// Zero.
+    pub reserved: u32,
+    /// The object's axes in the world, as long as its scale; the fourth component is zero.
+    pub axes: [[f32; 4]; 3],
+}
+
+/// One draw of a cluster for an instance: a word in display.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct DrawGpu {
+    /// `cluster * 16 + level`.
+    pub draw: u32,
+    /// Number of the [`StandGpu`].
+    pub slot: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
 const _: () = {
-    assert!(size_of::<ViewUniform>() == 144);
+    assert!(size_of::<ViewUniform>() == 160);
+    assert!(size_of::<StandGpu>() == 80 && size_of::<DrawGpu>() == 16);
     assert!(size_of::<ClusterGpu>() == 32);
     assert!(size_of::<LevelGpu>() == 8);
     assert!(size_of::<DrawArguments>() == 20);

@@ -17,6 +17,13 @@ pub struct Canvas {
     depth: wgpu::TextureView,
 }
 
+/// Where a pass stands among those of its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FramePass {
+    pub is_first: bool,
+    pub is_last: bool,
+}
+
 /// Samples per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Samples {
@@ -37,25 +44,34 @@ impl Canvas {
         Self { size, samples, samples_view, depth: view(DEPTH_FORMAT) }
     }
 
-    /// Begins to draw into `color`, which is cleared.
+    /// Begins to draw into `color`. The first pass of a frame clears it; only its last one may lose depth and samples.
     pub(crate) fn begin<'a>(
         &self,
         encoder: &'a mut wgpu::CommandEncoder,
         color: &wgpu::TextureView,
         background: wgpu::Color,
+        pass: FramePass,
     ) -> wgpu::RenderPass<'a> {
-        let store = if self.samples_view.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+        let kept = if pass.is_last { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+        let store = if self.samples_view.is_some() { kept } else { wgpu::StoreOp::Store };
+        let cleared = pass.is_first;
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("clusters"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
                 view: self.samples_view.as_ref().unwrap_or(color),
                 depth_slice: None,
                 resolve_target: self.samples_view.as_ref().map(|_| color),
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(background), store },
+                ops: wgpu::Operations {
+                    load: if cleared { wgpu::LoadOp::Clear(background) } else { wgpu::LoadOp::Load },
+                    store,
+                },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &self.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
+                depth_ops: Some(wgpu::Operations {
+                    load: if cleared { wgpu::LoadOp::Clear(0.0) } else { wgpu::LoadOp::Load },
+                    store: kept,
+                }),
                 stencil_ops: None,
             }),
             ..Default::default()

@@ -4,13 +4,16 @@
 //! gives a closed surface. Positions are joined where they are equal in all bits, and nowhere else.
 
 use anyhow::{Context, Result};
+use glam::DVec3;
 use pb_lod::plan::{Detail, View};
 use pb_lod::progressive_buffers::display::{GridEye, LodTable};
 use pb_lod::progressive_buffers::displayed_surface::{DrawnCluster, Surface, displayed_surface};
+use pb_lod::progressive_buffers::instances::Placement;
 use pb_lod::progressive_buffers::layout::ModelRecord;
-use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_lod::progressive_buffers::model::{Model, ModelError, Placed};
 use pb_lod::progressive_buffers::select::Selector;
 use pb_lod::progressive_buffers::switch::Switch;
+use pb_render::grid_eye;
 use std::io::Write;
 use std::path::Path;
 
@@ -33,10 +36,22 @@ impl ShownFrame<'_> {
     pub fn surface(&self) -> Result<Surface, ModelError> {
         let model = self.model;
         let switch = Switch::new(self.detail, self.view.pixel_angle, model.record().quantum);
-        let clusters = 0..model.record().clusters;
-        let tables: Vec<LodTable> = clusters.clone().map(|c| self.selector.lod_table(c, &switch)).collect();
-        let drawn: Result<Vec<DrawnCluster>, ModelError> = clusters.map(|c| self.cluster(c)).collect();
-        let mut surface = displayed_surface(&drawn?, &tables, &self.eye);
+        let origin = DVec3::from(model.record().origin);
+        let mut surface = Surface::default();
+        for Placed { clusters, placements } in model.placed() {
+            for placement in &placements {
+                let stretch = if switch.bands.is_some() { placement.scale as f32 } else { 1.0 };
+                let table = |c| self.selector.lod_table(c, &switch).at_scale(stretch);
+                let tables: Vec<LodTable> = clusters.clone().map(table).collect();
+                let drawn: Result<Vec<DrawnCluster>, ModelError> =
+                    clusters.clone().map(|c| self.cluster(c, clusters.start, placement)).collect();
+                let eye = match *placement == Placement::IDENTITY {
+                    true => self.eye,
+                    false => grid_eye(model.record(), placement.point_of(self.view.eye - origin) + origin),
+                };
+                surface.append(displayed_surface(&drawn?, &tables, &eye), placement);
+            }
+        }
         if model.textures().is_some() {
             // Vertices of textured models have texture coordinates where others have colours.
             surface.colors.fill([255; 4]);
@@ -44,16 +59,17 @@ impl ShownFrame<'_> {
         Ok(surface)
     }
 
-    fn cluster(&self, cluster: u32) -> Result<DrawnCluster, ModelError> {
+    /// A cluster of an instance; neighbours count from the object's first cluster.
+    fn cluster(&self, cluster: u32, first: u32, placement: &Placement) -> Result<DrawnCluster, ModelError> {
         let model = self.model;
-        let level = self.selector.drawn_level(cluster, &self.view, self.detail);
+        let level = self.selector.drawn_level(cluster, &self.view, self.detail, placement);
         let prefix = model.read_prefix(cluster, level)?;
         let record = &model.clusters()[cluster as usize];
         Ok(DrawnCluster {
             origin: record.origin,
             shift: record.shift,
             counts: (0..model.levels()).map(|l| model.level(cluster, l).vertices).collect(),
-            neighbours: model.neighbours(cluster).to_vec(),
+            neighbours: model.neighbours(cluster).iter().map(|n| n - first).collect(),
             level,
             vertices: prefix.vertices,
             indices: prefix.indices,

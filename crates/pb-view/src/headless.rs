@@ -30,7 +30,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     let flight = args.flypath.as_deref().map(Flypath::open).transpose()?;
     let model = open_model(&args.archive)?;
     let flight = flight.unwrap_or_else(|| {
-        let s = subject(model.record(), args.up.vector());
+        let s = subject(&model, args.up.vector());
         default_flight(s.center, s.radius, s.up, FOV_DEG)
     });
     check_exports(args, flight.frames())?;

@@ -6,8 +6,7 @@
 
 use anyhow::{Context, Result};
 use pb_lod::plan::{ChunkId, Class, Detail, Frame, Plan, Prefetch, View, Want};
-use pb_lod::progressive_buffers::layout::ModelRecord;
-use pb_lod::progressive_buffers::model::{Model, ModelError};
+use pb_lod::progressive_buffers::model::{Model, ModelError, Placed};
 use pb_lod::progressive_buffers::select::{SelectTables, Selector};
 use pb_render::{Camera, ModelTables, VramPlan, grid_eye};
 use pb_stream::cache::{ChunkInfo, Command, Limits};
@@ -65,11 +64,19 @@ pub fn open_model(path: &Path) -> Result<Arc<Model>, ModelError> {
 }
 
 /// The sphere around the model's bounds, world space, for cameras that go around it.
-pub fn subject(model: &ModelRecord, up: glam::DVec3) -> Subject {
-    let world =
-        |grid: [i32; 3]| glam::DVec3::from(model.origin) + glam::DVec3::from(grid.map(|g| g as f64)) * model.quantum;
-    let (low, high) = (world(model.bounds_min), world(model.bounds_max));
-    Subject { center: (low + high) * 0.5, radius: (low.distance(high) * 0.5).max(model.quantum), up }
+pub fn subject(model: &Model, up: glam::DVec3) -> Subject {
+    let [low, high] = model.world_bounds();
+    Subject { center: (low + high) * 0.5, radius: (low.distance(high) * 0.5).max(model.record().quantum), up }
+}
+
+/// Triangles of the coarsest level, of all instances.
+fn coarse_triangles(model: &Model) -> u64 {
+    let coarsest = model.levels() - 1;
+    let of = |p: &Placed| {
+        let triangles: u64 = p.clusters.clone().map(|c| u64::from(model.level(c, coarsest).triangles)).sum();
+        triangles * p.placements.len() as u64
+    };
+    model.placed().iter().map(of).sum()
 }
 
 /// The tables of a model that the renderer and the sizes of chunks are made from.
@@ -80,6 +87,7 @@ pub fn model_tables(model: &Model) -> ModelTables<'_> {
         levels: model.level_records(),
         neighbours: model.neighbour_entries(),
         textures: model.textures(),
+        instances: model.instances(),
     }
 }
 
@@ -159,7 +167,7 @@ impl Streaming {
         let selector = Selector::new(&SelectTables::of(&model, &costs.chunks));
         let limits = Limits::new(bounds.ram_bytes, costs.budgets);
         let cache = Recorded::new(chunk_infos(&model, &costs.chunks), limits)?;
-        let coarsest = model.model_levels().last().map_or(0, |l| l.triangles);
+        let coarsest = coarse_triangles(&model);
         if bounds.max_triangles < coarsest {
             let most = bounds.max_triangles;
             eprintln!(
@@ -168,7 +176,7 @@ impl Streaming {
             );
         }
         let chunks = costs.chunks.len();
-        let s = subject(model.record(), glam::DVec3::Y);
+        let s = subject(&model, glam::DVec3::Y);
         Ok(Self {
             feed,
             selector,

@@ -149,7 +149,7 @@ impl Shown {
         let mut gpu = Gpu::open(instance, Some(&surface))?;
         gpu.texture_blocks = args.textures.blocks(&gpu);
         let screen = Screen::new(&gpu, surface, window.inner_size().into(), args.samples)?;
-        let subject = subject(model.record(), args.up.vector());
+        let subject = subject(&model, args.up.vector());
         let mut stage = Stage::new(&gpu, model, args.bounds(), screen.format())?;
         if let Some(disk) = args.disk_model {
             stage.streaming.feed.set_disk(disk, DiskClock::Wall);

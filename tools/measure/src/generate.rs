@@ -16,6 +16,8 @@ pub enum Kind {
     Terrain,
     /// Many small closed parts.
     Parts,
+    /// Very many tetrahedra, each closed and by itself.
+    Crumbs,
 }
 
 /// A mesh of about `triangles` triangles, about 1 unit in size (terrain 10).
@@ -25,6 +27,7 @@ pub fn generate(kind: Kind, triangles: usize, seed: u64) -> Mesh {
         Kind::Torus => torus(triangles, seed),
         Kind::Terrain => terrain(triangles, seed),
         Kind::Parts => parts(triangles, seed),
+        Kind::Crumbs => crumbs(triangles, seed),
     }
 }
 
@@ -116,6 +119,30 @@ fn parts(triangles: usize, seed: u64) -> Mesh {
     mesh
 }
 
+/// Tetrahedra of 4 triangles in a unit cube, turned anyhow, about as far apart as they are large.
+fn crumbs(triangles: usize, seed: u64) -> Mesh {
+    let (mut random, mut mesh) = (Random::new(seed), Mesh::default());
+    let count = (triangles / 4).max(1);
+    let size = 0.5 / (count as f64).cbrt();
+    let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
+    for i in 0..count as u32 {
+        let center: [f64; 3] = std::array::from_fn(|_| random.unit());
+        let size = size * (0.3 + random.unit());
+        let [(sa, ca), (sb, cb)] = [0, 1].map(|_| (random.unit() * std::f64::consts::TAU).sin_cos());
+        let turned = |[x, y, z]: [f64; 3]| {
+            let (x, y) = (x * ca - y * sa, x * sa + y * ca);
+            [x, y * cb - z * sb, y * sb + z * cb]
+        };
+        mesh.positions.extend(corners.map(|c| {
+            let at = turned(c);
+            std::array::from_fn(|k| center[k] + at[k] * size)
+        }));
+        let faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]];
+        mesh.triangles.extend(faces.map(|t: [u32; 3]| t.map(|v| v + 4 * i)));
+    }
+    mesh
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -123,7 +150,7 @@ mod tests {
 
     #[test]
     fn every_kind_has_about_the_triangles_asked_for() {
-        for kind in [Kind::Sphere, Kind::Torus, Kind::Terrain, Kind::Parts] {
+        for kind in [Kind::Sphere, Kind::Torus, Kind::Terrain, Kind::Parts, Kind::Crumbs] {
             let count = generate(kind, 20_000, 1).triangles.len() as f64;
             assert!((count / 20_000.0 - 1.0).abs() < 0.05, "{kind:?}: {count}");
         }
@@ -131,7 +158,7 @@ mod tests {
 
     #[test]
     fn all_but_the_terrain_are_closed_and_oriented() {
-        for kind in [Kind::Sphere, Kind::Torus, Kind::Parts] {
+        for kind in [Kind::Sphere, Kind::Torus, Kind::Parts, Kind::Crumbs] {
             let found = check(&generate(kind, 5_000, 2));
             assert_eq!((found.unmatched_edges, found.non_manifold_edges), (0, 0), "{kind:?}");
         }
@@ -140,7 +167,7 @@ mod tests {
 
     #[test]
     fn triangles_face_outwards() {
-        for kind in [Kind::Sphere, Kind::Torus, Kind::Parts] {
+        for kind in [Kind::Sphere, Kind::Torus, Kind::Parts, Kind::Crumbs] {
             let mesh = generate(kind, 5_000, 3);
             let volume: f64 = mesh
                 .triangles

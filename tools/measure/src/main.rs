@@ -3,6 +3,7 @@
 mod chain;
 mod colonnade;
 mod compare;
+mod crowd;
 mod distance;
 mod flights;
 mod forecast;
@@ -142,6 +143,8 @@ enum Measurement {
     Textured(textured::Arguments),
     /// Make a textured scene of any size from a seed, a colonnade in ruins, and a flypath for it beside it.
     Colonnade(colonnade::Arguments),
+    /// Make a glTF scene of few meshes in many places from a seed.
+    Crowd(crowd::Arguments),
     /// The flypath of a colonnade alone: longer, shorter, or at another rate.
     ColonnadeFlypath(colonnade::FlightArguments),
 }
@@ -221,6 +224,7 @@ fn run(command: Measurement) -> Result<bool> {
         Measurement::TexturesHeading => println!("{}", textures::HEADING),
         Measurement::Textured(arguments) => println!("{:#}", textured::run(&arguments)?),
         Measurement::Colonnade(arguments) => println!("{:#}", colonnade::run(&arguments)?),
+        Measurement::Crowd(arguments) => println!("{:#}", crowd::run(&arguments)?),
         Measurement::ColonnadeFlypath(arguments) => println!("{:#}", colonnade::run_flight(&arguments)?),
     }
     Ok(true)

@@ -1,9 +1,11 @@
-//! A level with its textures as GLB (glTF 2.0): a primitive, a material and its images per cluster. The binary part is
+//! A level with its textures as GLB (glTF 2.0): a primitive, a material and its images per cluster, a mesh per object, a
+//! node per instance. The binary part is
 //! written to a temporary file first, one cluster in memory at a time, because the header says its size.
 
 use super::tile::{Part, TileImage};
 use super::{ExportCounts, ExportError, MAX_GLB_BYTES, folder_of, replace, temporary_in};
-use pb_lod::progressive_buffers::model::Model;
+use pb_lod::progressive_buffers::instances::Placement;
+use pb_lod::progressive_buffers::model::{Model, Placed};
 use pb_lod::progressive_buffers::textures::{MapFormat, MapKind, MapRecord};
 use serde_json::{Map, Value, json};
 use std::io::{self, BufWriter, Seek, Write};
@@ -19,16 +21,19 @@ pub(super) fn write(path: &Path, model: &Model, level: u32) -> Result<ExportCoun
     let io = |source| ExportError::Io { path: path.to_owned(), source };
     let binary = temporary_in(folder_of(path)).map_err(io)?;
     let mut glb = Glb::new(BufWriter::with_capacity(1 << 20, binary), model);
-    for cluster in 0..model.record().clusters {
-        let part = Part::read(model, cluster, level)?;
-        if part.triangles.is_empty() {
-            continue;
+    for Placed { clusters, placements } in model.placed() {
+        for cluster in clusters {
+            let part = Part::read(model, cluster, level)?;
+            if part.triangles.is_empty() {
+                continue;
+            }
+            let mut images = Vec::new();
+            for kind in MapKind::ALL.into_iter().filter(|&kind| is_written(model, kind)) {
+                images.push((kind, TileImage::read(model, cluster, level, kind)?));
+            }
+            glb.add(&part, &images).map_err(io)?;
         }
-        let mut images = Vec::new();
-        for kind in MapKind::ALL.into_iter().filter(|&kind| is_written(model, kind)) {
-            images.push((kind, TileImage::read(model, cluster, level, kind)?));
-        }
-        glb.add(&part, &images).map_err(io)?;
+        glb.place(&placements);
     }
     let mut json = serde_json::to_vec(&glb.document()).map_err(|e| io(e.into()))?;
     json.resize(json.len().next_multiple_of(4), b' ');
@@ -72,7 +77,10 @@ struct Glb<'a, W: Write> {
     accessors: Vec<Value>,
     images: Vec<Value>,
     materials: Vec<Value>,
+    /// Of the mesh under way.
     primitives: Vec<Value>,
+    meshes: Vec<Value>,
+    nodes: Vec<Value>,
     counts: ExportCounts,
 }
 
@@ -90,6 +98,8 @@ impl<'a, W: Write> Glb<'a, W> {
             images: Vec::new(),
             materials: Vec::new(),
             primitives: Vec::new(),
+            meshes: Vec::new(),
+            nodes: Vec::new(),
             counts: ExportCounts::default(),
         }
     }
@@ -120,6 +130,27 @@ impl<'a, W: Write> Glb<'a, W> {
         self.counts.vertices += count as u64;
         self.counts.triangles += part.triangles.len() as u64;
         Ok(())
+    }
+
+    /// Ends a mesh, and places it.
+    fn place(&mut self, placements: &[Placement]) {
+        let primitives = std::mem::take(&mut self.primitives);
+        if primitives.is_empty() {
+            return;
+        }
+        let mesh = self.meshes.len();
+        self.meshes.push(json!({ "primitives": primitives }));
+        for placement in placements {
+            let mut node = json!({
+                "mesh": mesh, "translation": self.model.world_of(self.center, placement).to_array(),
+            });
+            if *placement != Placement::IDENTITY {
+                node["rotation"] = json!(placement.rotation.to_array());
+                let scale = placement.scale;
+                node["scale"] = json!([scale, scale, scale]);
+            }
+            self.nodes.push(node);
+        }
     }
 
     fn material(&mut self, images: &[(MapKind, Option<TileImage>)]) -> io::Result<usize> {
@@ -181,9 +212,9 @@ impl<'a, W: Write> Glb<'a, W> {
         let mut document = json!({
             "asset": { "version": "2.0", "generator": "pb-bake" },
             "scene": 0,
-            "scenes": [{ "nodes": [0] }],
-            "nodes": [{ "mesh": 0, "translation": self.model.world(self.center).to_array() }],
-            "meshes": [{ "primitives": self.primitives }],
+            "scenes": [{ "nodes": (0..self.nodes.len()).collect::<Vec<_>>() }],
+            "nodes": self.nodes,
+            "meshes": self.meshes,
             "materials": self.materials,
             "accessors": self.accessors,
             "bufferViews": self.views,

@@ -2,7 +2,9 @@
 
 use super::tile::{Part, TileImage};
 use super::{ExportCounts, ExportError, replace};
-use pb_lod::progressive_buffers::model::Model;
+use glam::Vec3;
+use pb_lod::progressive_buffers::instances::Placement;
+use pb_lod::progressive_buffers::model::{Model, Placed};
 use pb_lod::progressive_buffers::textures::MapKind;
 use std::io::{self, Write};
 use std::path::Path;
@@ -30,14 +32,18 @@ pub(super) fn write(path: &Path, model: &Model, level: u32) -> Result<ExportCoun
     let mut fault = None;
     let written = replace(path, |out| {
         writeln!(out, "mtllib {stem}.mtl")?;
-        for cluster in 0..model.record().clusters {
-            let part = Part::read(model, cluster, level).map_err(|e| {
-                fault = Some(e);
-                io::Error::other("the archive is at fault")
-            })?;
-            write_part(out, model, cluster, &part, counts.vertices + 1)?;
-            counts.vertices += part.grid.len() as u64;
-            counts.triangles += part.triangles.len() as u64;
+        for Placed { clusters, placements } in model.placed() {
+            for cluster in clusters {
+                let part = Part::read(model, cluster, level).map_err(|e| {
+                    fault = Some(e);
+                    io::Error::other("the archive is at fault")
+                })?;
+                for placement in &placements {
+                    write_part(out, model, (cluster, placement), &part, counts.vertices + 1)?;
+                    counts.vertices += part.grid.len() as u64;
+                    counts.triangles += part.triangles.len() as u64;
+                }
+            }
         }
         Ok(())
     });
@@ -47,12 +53,19 @@ pub(super) fn write(path: &Path, model: &Model, level: u32) -> Result<ExportCoun
     }
 }
 
-fn write_part(out: &mut dyn Write, model: &Model, cluster: u32, part: &Part, first: u64) -> io::Result<()> {
+fn write_part(
+    out: &mut dyn Write,
+    model: &Model,
+    (cluster, placement): (u32, &Placement),
+    part: &Part,
+    first: u64,
+) -> io::Result<()> {
     for &grid in &part.grid {
-        let [x, y, z] = model.world(grid).to_array();
+        let [x, y, z] = model.world_of(grid, placement).to_array();
         writeln!(out, "v {x} {y} {z}")?;
     }
-    for [x, y, z] in &part.normals {
+    for normal in &part.normals {
+        let [x, y, z] = turned(placement, *normal);
         writeln!(out, "vn {x} {y} {z}")?;
     }
     for [u, v] in &part.uvs {
@@ -64,6 +77,13 @@ fn write_part(out: &mut dyn Write, model: &Model, cluster: u32, part: &Part, fir
         writeln!(out, "f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}")?;
     }
     Ok(())
+}
+
+fn turned(placement: &Placement, normal: [f32; 3]) -> [f32; 3] {
+    match *placement == Placement::IDENTITY {
+        true => normal,
+        false => (placement.rotation.as_quat() * Vec3::from(normal)).to_array(),
+    }
 }
 
 fn io_error(path: &Path, source: io::Error) -> ExportError {

@@ -15,10 +15,11 @@ mod stl;
 mod textures;
 
 pub use error::{ImportError, Refusal};
-pub use textures::Model;
+pub use textures::{InstanceCounts, Model};
 
 use crate::images::{ImageContent, ImageSource};
 use error::{damaged, refused};
+use pb_lod::progressive_buffers::instances::MAX_INSTANCES;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::Soup;
 use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
@@ -44,15 +45,27 @@ pub enum Format {
 /// Limits of an import, and what is added to it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ImportOptions {
-    /// Most triangles of all inputs together, after instances are expanded.
+    /// Most triangles of all inputs together; those of repeated meshes count once where instances are kept.
     pub max_triangles: usize,
     /// An image for the inputs that have texture coordinates but no image.
     pub texture: Option<PathBuf>,
+    /// What becomes of meshes that stand in several places.
+    pub instancing: Instancing,
+}
+
+/// What becomes of meshes that stand in several places.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Instancing {
+    /// Each is kept once, with its places.
+    #[default]
+    Keep,
+    /// All are written out as geometry.
+    Expand,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        ImportOptions { max_triangles: MAX_TRIANGLE_COUNT, texture: None }
+        ImportOptions { max_triangles: MAX_TRIANGLE_COUNT, texture: None, instancing: Instancing::Keep }
     }
 }
 
@@ -80,6 +93,8 @@ pub struct InputReport {
     pub triangles: usize,
     /// Records, before any weld.
     pub vertices: usize,
+    /// Meshes that stand in several places.
+    pub instances: InstanceCounts,
     /// What was odd but no reason to refuse it.
     pub warnings: Vec<String>,
 }
@@ -119,7 +134,8 @@ pub fn load(
         let base = path.parent().map(|p| if p.as_os_str().is_empty() { Path::new(".") } else { p });
         let max_triangles = options.max_triangles.saturating_sub(scene.soup.triangles.len());
         let wants_uvs = options.texture.is_some();
-        let input = Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs };
+        let keeps_instances = options.instancing == Instancing::Keep;
+        let input = Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs, keeps_instances };
         let (model, warnings) = read(format, &input, options.texture.as_deref())?;
         if scene.soup.positions.len() + model.soup.positions.len() >= u32::MAX as usize {
             return Err(too_many(&name, options.max_triangles));
@@ -131,13 +147,19 @@ pub fn load(
             bytes: bytes.len() as u64,
             triangles: model.soup.triangles.len(),
             vertices: model.soup.positions.len(),
+            instances: model.instances,
             warnings,
         });
         scene.append(model);
+        if scene.instances.instances >= u64::from(MAX_INSTANCES) {
+            let what = format!("the scene has {} instances, more than an archive can hold", scene.instances.instances);
+            let remedy = format!("bake it in parts of less than {MAX_INSTANCES}, or with --expand-instances");
+            return Err(refused(Refusal::TooLarge, &name, what, remedy));
+        }
         report(i + 1, bytes_done);
     }
     scene.finish();
-    let Model { soup, materials, images } = scene;
+    let Model { soup, materials, images, .. } = scene;
     Ok(Import { soup, materials, images, inputs })
 }
 
@@ -148,7 +170,8 @@ pub fn load(
 /// See [`ImportError`]; messages call the input "input".
 pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(Model, Vec<String>), ImportError> {
     let max_triangles = ImportOptions::default().max_triangles;
-    let input = Input { name: "input", path: None, bytes, base, max_triangles, wants_uvs: false };
+    let input =
+        Input { name: "input", path: None, bytes, base, max_triangles, wants_uvs: false, keeps_instances: true };
     let (mut model, warnings) = read(format, &input, None)?;
     model.finish();
     Ok((model, warnings))
@@ -166,6 +189,8 @@ struct Input<'a> {
     max_triangles: usize,
     /// Texture coordinates are read also where no material has an image.
     wants_uvs: bool,
+    /// Meshes that stand in several places become objects.
+    keeps_instances: bool,
 }
 
 /// `texture`: for models without images of their own.

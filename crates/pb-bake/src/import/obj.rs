@@ -43,6 +43,7 @@ pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Model, Impo
                     soup: Soup { unreferenced_left_out, ..soup },
                     materials: materials.into_iter().map(|m| m.material).collect(),
                     images: images.list,
+                    ..Model::default()
                 });
             }
         }

@@ -24,6 +24,19 @@ pub struct Model {
     pub materials: Vec<Material>,
     /// What the materials' textures count.
     pub images: Vec<ImageSource>,
+    /// Of the soup's objects.
+    pub instances: InstanceCounts,
+}
+
+/// What became of meshes that stand in several places.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct InstanceCounts {
+    /// Meshes that are kept once, each turned or stretched in one way.
+    pub objects: u64,
+    /// Their places.
+    pub instances: u64,
+    /// Places of repeated meshes that are written out: they are stretched like no other or flattened, or save few triangles.
+    pub apart: u64,
 }
 
 impl Model {
@@ -61,6 +74,9 @@ impl Model {
             material.textures.iter_mut().flatten().for_each(|t| t.image = place[t.image as usize]);
             material
         }));
+        self.instances.objects += other.instances.objects;
+        self.instances.instances += other.instances.instances;
+        self.instances.apart += other.instances.apart;
         let mut soup = other.soup;
         soup.material_of.iter_mut().filter(|m| **m != NO_MATERIAL).for_each(|m| *m += base);
         self.soup.append(soup);

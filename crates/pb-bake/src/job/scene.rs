@@ -5,10 +5,12 @@
 
 use super::Job;
 use crate::scene::Scene;
+use glam::{DQuat, DVec3};
 use pb_bake::import::InputReport;
 use pb_lod::progressive_buffers::bake::checkpoints::{Checkpoints, put_list, take_list};
 use pb_mesh::corners::Topology;
 use pb_mesh::mesh::{Mesh, Wedge};
+use pb_mesh::objects::{Objects, Placement};
 use pb_mesh::repair::RepairReport;
 use std::io::{Error, Read, Result, Write};
 use xxhash_rust::xxh3::Xxh3;
@@ -67,12 +69,16 @@ impl Write for Sum {
 }
 
 fn write(scene: &Scene, out: &mut dyn Write) -> Result<()> {
-    let Scene { mesh: Mesh { positions, wedges, triangles, has_colors, texturing: _ }, inputs, repairs, .. } = scene;
+    let Scene { mesh, inputs, repairs, .. } = scene;
+    let Mesh { positions, wedges, triangles, has_colors, texturing: _, objects: Objects { of, placements } } = mesh;
     put_list(out, &serde_json::to_vec(inputs).map_err(Error::other)?)?;
     put_list(out, &numbers(repairs))?;
     put_list(out, positions)?;
     put_list(out, triangles)?;
     put_list(out, &[u8::from(*has_colors)])?;
+    put_list(out, of)?;
+    put_list(out, &placements.iter().map(|list| list.len() as u64).collect::<Vec<_>>())?;
+    put_list(out, &placements.iter().flatten().map(numbers_of).collect::<Vec<_>>())?;
     for block in wedges.chunks(BLOCK) {
         put_list(out, &block.iter().map(words).collect::<Vec<_>>())?;
     }
@@ -84,6 +90,7 @@ fn read(input: &mut dyn Read) -> Result<(Vec<InputReport>, RepairReport, Mesh)> 
     let repairs = repairs(&take_list(input)?).ok_or_else(|| Error::other("a count is missing"))?;
     let (positions, triangles) = (take_list(input)?, take_list(input)?);
     let has_colors = take_list::<u8>(input)? == [1];
+    let objects = objects(take_list(input)?, &take_list(input)?, &take_list(input)?)?;
     let mut wedges = Vec::new();
     loop {
         let block = take_list::<[u32; 5]>(input)?;
@@ -92,7 +99,28 @@ fn read(input: &mut dyn Read) -> Result<(Vec<InputReport>, RepairReport, Mesh)> 
         }
         wedges.extend(block.iter().map(wedge));
     }
-    Ok((inputs, repairs, Mesh { positions, wedges, triangles, has_colors, ..Mesh::default() }))
+    Ok((inputs, repairs, Mesh { positions, wedges, triangles, has_colors, objects, texturing: None }))
+}
+
+/// From the list of positions, the number of places of each object, and all of these.
+fn objects(of: Vec<u32>, counts: &[u64], places: &[[f64; 8]]) -> Result<Objects> {
+    let mut rest = places;
+    let mut placements = Vec::new();
+    for &count in counts {
+        let (own, after) = rest.split_at_checked(count as usize).ok_or_else(|| Error::other("a place is missing"))?;
+        placements.push(own.iter().map(placement).collect());
+        rest = after;
+    }
+    Ok(Objects { of, placements })
+}
+
+fn numbers_of(placement: &Placement) -> [f64; 8] {
+    let ([a, b, c, d], [x, y, z]) = (placement.rotation.to_array(), placement.translation.to_array());
+    [a, b, c, d, placement.scale, x, y, z]
+}
+
+fn placement(&[a, b, c, d, scale, x, y, z]: &[f64; 8]) -> Placement {
+    Placement { rotation: DQuat::from_xyzw(a, b, c, d), scale, translation: DVec3::new(x, y, z) }
 }
 
 fn words(wedge: &Wedge) -> [u32; 5] {
@@ -189,13 +217,18 @@ mod tests {
     fn what_is_read_is_what_was_written() {
         let wedge =
             |position: u32| Wedge { position, normal: [0.5, -0.0, position as f32], color: [1, 2, 3, position as u8] };
+        let place = |scale: f64| placement(&[0.0, 0.6, 0.0, 0.8, scale, -1.0, 1e-300, scale * 7.0]);
         let numbers: Vec<u64> = (0..16).map(|i| if i == 11 { 1 } else { i * 7 }).collect();
         let mesh = Mesh {
             positions: (0..9).map(|i| [f64::from(i), 0.1, 1e300]).collect(),
             wedges: (0..BLOCK as u32 + 3).map(wedge).collect(),
             triangles: vec![[0, 1, 2], [2, 1, 3]],
             has_colors: true,
-            ..Mesh::default()
+            objects: Objects {
+                of: vec![0, 0, 1, 2, 2, 2, 2, 2, 2],
+                placements: vec![vec![place(1.0)], vec![place(0.5), place(3.0)]],
+            },
+            texturing: None,
         };
         let input = InputReport {
             path: "a b.ply".into(),
@@ -203,6 +236,7 @@ mod tests {
             bytes: 5,
             triangles: 2,
             vertices: 4,
+            instances: pb_bake::import::InstanceCounts { objects: 2, instances: 3, apart: 1 },
             warnings: vec!["odd".into()],
         };
         let scene = Scene {

@@ -6,6 +6,7 @@ mod formats;
 mod gltf_scenes;
 mod hostile;
 mod images;
+mod instances;
 mod round_trip;
 mod textured;
 

@@ -54,6 +54,8 @@ pub fn baked(torus: &GridTorus) -> BakedModel {
     };
     let places = (0..torus.clusters.len()).flat_map(|c| (0..levels).map(move |i| (c, i)));
     BakedModel {
+        objects: Vec::new(),
+        instances: Vec::new(),
         maps: torus.maps.clone(),
         tiles: torus.tiles.clone(),
         record: torus.model,

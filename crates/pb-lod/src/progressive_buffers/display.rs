@@ -19,6 +19,11 @@ pub struct LodTable {
 }
 
 impl LodTable {
+    /// The table of an object whose distances are `stretch` times as long in the world: for bands.
+    pub fn at_scale(self, stretch: f32) -> LodTable {
+        LodTable { distances: self.distances.map(|d| d / stretch), ..self }
+    }
+
     /// Level of detail at distance `d` (world units): `max(m, i + (d - D_i) / (D_{i+1} - D_i))`.
     pub fn lod(&self, d: f32) -> f32 {
         lod_from(self.levels as usize - 1, |i| self.distances[i], d).max(self.floor)

@@ -6,7 +6,10 @@
 
 use std::collections::HashMap;
 
+use glam::DVec3;
+
 use super::display::{ClusterView, GridEye, LodTable};
+use super::instances::Placement;
 use super::layout::Vertex;
 
 /// One cluster with the data of its drawn level.
@@ -39,7 +42,8 @@ pub struct Surface {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// The surface that `clusters` show to `eye` when cluster c uses `tables[c]`.
+/// The surface that `clusters` show to `eye` when cluster c uses `tables[c]`. Where they are those of one object, neighbours
+/// count from its first cluster, and eye and surface are in its space.
 pub fn displayed_surface(clusters: &[DrawnCluster], tables: &[LodTable], eye: &GridEye) -> Surface {
     assert_eq!(clusters.len(), tables.len(), "one table per cluster");
     let mut welder = Welder::default();
@@ -90,6 +94,18 @@ impl Welder {
 }
 
 impl Surface {
+    /// Appends another surface, as it is seen from the same eye in the world: turned and scaled.
+    pub fn append(&mut self, other: Surface, placement: &Placement) {
+        let first = self.positions.len() as u32;
+        let placed = |p: &[f32; 3]| match *placement == Placement::IDENTITY {
+            true => *p,
+            false => (placement.rotation * DVec3::from(p.map(f64::from)) * placement.scale).as_vec3().to_array(),
+        };
+        self.positions.extend(other.positions.iter().map(placed));
+        self.colors.extend(other.colors);
+        self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + first)));
+    }
+
     /// Directed edges whose opposite does not occur as often: 0 for a closed surface, whatever its shape.
     pub fn unmatched_edges(&self) -> usize {
         let edges = self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);

@@ -152,6 +152,7 @@ impl GridTorus {
 
     pub fn tables(&self) -> SelectTables<'_> {
         SelectTables {
+            instances: None,
             textures: (!self.maps.is_empty()).then(|| self.textures()),
             model: &self.model,
             clusters: &self.clusters,

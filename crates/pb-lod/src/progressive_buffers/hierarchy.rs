@@ -47,16 +47,49 @@ impl Hierarchy {
 /// # Panics
 /// If there are no spheres, or a number is not finite or does not fit the archive's i32 grid.
 pub fn build(spheres: &[(DVec3, f64)]) -> Hierarchy {
+    build_groups(spheres, &[spheres.len()])
+}
+
+/// The same where the spheres come in groups, so many of each, one after the other: each group becomes a subtree of its
+/// own, and the groups' subtrees are merged by the same rule.
+///
+/// # Panics
+/// As [`build`]; and if a group is empty, or the groups are not all spheres.
+pub fn build_groups(spheres: &[(DVec3, f64)], groups: &[usize]) -> Hierarchy {
     assert!(!spheres.is_empty(), "a hierarchy has at least one cluster");
     let fits = |&(c, r): &(DVec3, f64)| c.abs().max_element() <= i32::MAX as f64 && r >= 0.0 && r.is_finite();
     assert!(spheres.iter().all(fits), "spheres lie on the i32 grid");
-    let mut roots = Roots::new(spheres);
+    assert!(groups.iter().sum::<usize>() == spheres.len() && !groups.contains(&0), "groups divide the spheres");
     let mut children = Vec::with_capacity(spheres.len() - 1);
+    let mut add = |pairs: Vec<(u32, u32)>, leaves: &[u32]| {
+        let base = (spheres.len() + children.len()) as u32;
+        let global = |id: u32| leaves.get(id as usize).copied().unwrap_or_else(|| id - leaves.len() as u32 + base);
+        children.extend(pairs.iter().map(|&(a, b)| (global(a), global(b))));
+        global((leaves.len() + pairs.len()) as u32 - 1)
+    };
+    let mut roots = Vec::with_capacity(groups.len());
+    let mut first = 0;
+    for &count in groups {
+        let (pairs, sphere) = merge_all(&spheres[first..first + count]);
+        let leaves: Vec<u32> = (first as u32..(first + count) as u32).collect();
+        roots.push((add(pairs, &leaves), sphere));
+        first += count;
+    }
+    let (ids, tops): (Vec<u32>, Vec<(DVec3, f64)>) = roots.into_iter().unzip();
+    add(merge_all(&tops).0, &ids);
+    number(spheres, &children)
+}
+
+/// Merges spheres until one is left: which pairs, where ids below the number of spheres are spheres, and the next ids the
+/// merges in their order; and the last sphere.
+fn merge_all(spheres: &[(DVec3, f64)]) -> (Vec<(u32, u32)>, (DVec3, f64)) {
+    let mut roots = Roots::new(spheres);
+    let mut pairs = Vec::with_capacity(spheres.len() - 1);
     while let Some((a, b)) = roots.pop_pair() {
-        children.push((a, b));
+        pairs.push((a, b));
         roots.merge(a, b);
     }
-    number(spheres, &children)
+    (pairs, roots.sphere(roots.id.len() - 1))
 }
 
 /// A pair of roots in the queue: smallest radius first, then oldest ids, so that ties are settled always alike.
@@ -351,6 +384,30 @@ mod tests {
         let errors: Vec<f32> = (0..20).map(|i| ((i * 7) % 20) as f32).collect();
         hierarchy.set_errors(&errors);
         assert_eq!(hierarchy.nodes[0].error, 19.0);
+    }
+
+    #[test]
+    fn groups_become_subtrees_and_one_group_is_as_none() {
+        let spheres = cloud(90, 11);
+        let Hierarchy { order, nodes } = build_groups(&spheres, &[40, 1, 30, 19]);
+        assert_eq!(nodes.len(), 179);
+        let mut sorted = order.clone();
+        sorted.sort();
+        assert!(sorted.into_iter().eq(0..90));
+        for group in [0..40u32, 40..41, 41..71, 71..90] {
+            let is_own = |n: &&NodeRecord| {
+                let range = n.first_cluster as usize..(n.first_cluster + n.cluster_count) as usize;
+                n.cluster_count as usize == group.len() && order[range].iter().all(|i| group.contains(i))
+            };
+            assert_eq!(nodes.iter().filter(is_own).count(), 1, "{group:?}");
+        }
+        for n in nodes.iter().filter(|n| n.cluster_count > 1) {
+            let inside = |i: u32| {
+                sphere(&nodes[i as usize]).0.distance(sphere(n).0) + sphere(&nodes[i as usize]).1 <= sphere(n).1
+            };
+            assert!(inside(n.left) && inside(n.right));
+        }
+        assert_eq!(build(&spheres).order, build_groups(&spheres, &[90]).order);
     }
 
     #[test]

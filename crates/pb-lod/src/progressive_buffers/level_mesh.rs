@@ -1,16 +1,19 @@
 //! One level of the whole model as a plain mesh, for other programs and for checks.
 
+use super::instances::Placement;
 use super::layout::Vertex;
-use super::model::{Model, ModelError};
+use super::model::{Model, ModelError, Placed};
+use glam::DVec3;
 use pb_mesh::mesh::ExportMesh;
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// Colours (sRGB, straight alpha) for vertices of a cluster, one each.
 pub type VertexColors<'a> = &'a mut dyn FnMut(u32, &[Vertex]) -> Result<Vec<[u8; 4]>, ModelError>;
 
 impl Model {
-    /// All clusters at one level, welded: one vertex per grid position, in order of first use by the clusters in
-    /// file order; normals and colours of the records at a position are averaged.
+    /// All clusters at one level, welded: one vertex per grid position of an instance, in order of first use by the
+    /// clusters in file order, instance after instance; normals and colours of the records at a position are averaged.
     ///
     /// # Panics
     /// If there is no such level.
@@ -29,11 +32,33 @@ impl Model {
 
     fn weld_level(&self, level: u32, mut colors: Option<VertexColors>) -> Result<ExportMesh, ModelError> {
         assert!(level < self.levels());
-        let mut welder = Welder::default();
-        let mut mesh = ExportMesh::default();
-        for cluster in 0..self.record().clusters {
+        let mut mesh = ExportMesh { colors: colors.is_some().then(Vec::new), ..ExportMesh::default() };
+        for Placed { clusters, placements } in self.placed() {
+            let (welder, triangles) = self.weld_clusters(level, clusters, &mut colors)?;
+            for placement in &placements {
+                let first = mesh.positions.len() as u32;
+                mesh.positions.extend(welder.grid.iter().map(|&g| self.world_of(g, placement).to_array()));
+                mesh.normals.extend(welder.sums.iter().map(|s| turned(placement, normalized(s.normal))));
+                if let Some(colors) = &mut mesh.colors {
+                    colors.extend(welder.sums.iter().map(|s| s.color.map(|c| rounded(c, s.records))));
+                }
+                mesh.triangles.extend(triangles.iter().map(|t| t.map(|i| i + first)));
+            }
+        }
+        Ok(mesh)
+    }
+
+    /// Some clusters at one level; triangles count the welder's positions.
+    fn weld_clusters(
+        &self,
+        level: u32,
+        clusters: Range<u32>,
+        colors: &mut Option<VertexColors>,
+    ) -> Result<(Welder, Vec<[u32; 3]>), ModelError> {
+        let (mut welder, mut triangles) = (Welder::default(), Vec::new());
+        for cluster in clusters {
             let prefix = self.read_prefix(cluster, level)?;
-            let colors = match &mut colors {
+            let colors = match colors {
                 Some(colors) => colors(cluster, &prefix.vertices)?,
                 None => vec![[255; 4]; prefix.vertices.len()],
             };
@@ -45,14 +70,16 @@ impl Model {
                 }
                 place[i as usize]
             };
-            mesh.triangles.extend(prefix.indices.chunks_exact(3).map(|t| [corner(t[0]), corner(t[1]), corner(t[2])]));
+            triangles.extend(prefix.indices.chunks_exact(3).map(|t| [corner(t[0]), corner(t[1]), corner(t[2])]));
         }
-        mesh.positions = welder.grid.iter().map(|&g| self.world(g).to_array()).collect();
-        mesh.normals = welder.sums.iter().map(|s| normalized(s.normal)).collect();
-        if colors.is_some() {
-            mesh.colors = Some(welder.sums.iter().map(|s| s.color.map(|c| rounded(c, s.records))).collect());
-        }
-        Ok(mesh)
+        Ok((welder, triangles))
+    }
+}
+
+fn turned(placement: &Placement, normal: [f32; 3]) -> [f32; 3] {
+    match *placement == Placement::IDENTITY {
+        true => normal,
+        false => (placement.rotation * DVec3::from(normal.map(f64::from))).as_vec3().to_array(),
     }
 }
 

@@ -10,6 +10,7 @@
 //! - [`display`]: the display rule, the Rust twin of the vertex shader;
 //! - [`displayed_surface`](mod@displayed_surface): what a frame shows, all clusters welded;
 //! - [`textures`]: maps, tiles, and which mips lie in which chunk;
+//! - [`instances`]: objects that stand in several places;
 //! - [`switch`]: how the rule's switch distances are filled, from errors or from bands;
 //! - [`select`]: what to draw, load and give back in a frame.
 
@@ -24,6 +25,7 @@ mod format_tests;
 #[cfg(test)]
 mod grid_torus;
 pub mod hierarchy;
+pub mod instances;
 pub mod layout;
 mod level_mesh;
 pub mod model;

@@ -7,6 +7,7 @@
 //! Must never: panic on any file; change one.
 
 use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
+use super::instances::{INSTANCES, InstanceRecord, Instances, OBJECTS, ObjectRecord, Placement};
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, Textures, TileRecord};
 use super::{model_check, write::KNOWN_FEATURES};
@@ -15,6 +16,7 @@ use bytemuck::Pod;
 use glam::DVec3;
 use pb_archive::{Archive, ArchiveError, Fault, Table};
 use std::borrow::Cow;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Bit 0 of [`ModelRecord::flags`]: vertices carry colours.
@@ -23,6 +25,8 @@ pub const FLAG_COLORS: u32 = 1;
 pub const FLAG_TEXTURES: u32 = 2;
 /// Bit 2: base colours with an alpha below one half are holes.
 pub const FLAG_CUTOUT: u32 = 4;
+/// Bit 3: there are objects and instances.
+pub const FLAG_INSTANCES: u32 = 8;
 
 /// Why an archive is no sound model.
 #[derive(Debug, thiserror::Error)]
@@ -97,6 +101,15 @@ pub struct Prefix {
     pub indices: Vec<u16>,
 }
 
+/// Clusters that stand together, in one place or in several.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Placed {
+    /// One object's.
+    pub clusters: Range<u32>,
+    /// Counted from the model's origin.
+    pub placements: Vec<Placement>,
+}
+
 /// An open, checked model.
 pub struct Model {
     archive: Archive,
@@ -107,6 +120,7 @@ pub struct Model {
     nodes: Table<NodeRecord>,
     model_levels: Table<ModelLevelRecord>,
     textures: Option<(Table<MapRecord>, Table<TileRecord>)>,
+    instances: Option<(Table<ObjectRecord>, Table<InstanceRecord>)>,
 }
 
 impl Model {
@@ -142,6 +156,10 @@ impl Model {
             textures: match record.flags & FLAG_TEXTURES {
                 0 => None,
                 _ => Some((archive.table(MAPS)?, archive.table(TILES)?)),
+            },
+            instances: match record.flags & FLAG_INSTANCES {
+                0 => None,
+                _ => Some((archive.table(OBJECTS)?, archive.table(INSTANCES)?)),
             },
             archive,
         };
@@ -182,6 +200,20 @@ impl Model {
     /// True when base colours with an alpha below one half are holes.
     pub fn has_cutouts(&self) -> bool {
         self.record.flags & FLAG_CUTOUT != 0
+    }
+
+    /// Objects and instances, where there are any; else all clusters stand where they are, once.
+    pub fn instances(&self) -> Option<Instances<'_>> {
+        let (objects, instances) = self.instances.as_ref()?;
+        Some(Instances { objects: self.rows(objects), instances: self.rows(instances) })
+    }
+
+    /// Smallest and largest world coordinates; where there are instances, of boxes around them.
+    pub fn world_bounds(&self) -> [DVec3; 2] {
+        match self.instances() {
+            Some(instances) => instances.world_bounds(&self.record, self.clusters()),
+            None => [self.world(self.record.bounds_min), self.world(self.record.bounds_max)],
+        }
     }
 
     fn rows<T: Pod>(&self, table: &Table<T>) -> &[T] {
@@ -375,6 +407,28 @@ impl Model {
     pub fn grid(&self, cluster: u32, v: &Vertex) -> [i32; 3] {
         let record = &self.clusters()[cluster as usize];
         std::array::from_fn(|k| record.origin[k].wrapping_add((v.offset[k] as i32) << record.shift))
+    }
+
+    /// All clusters, in runs that stand together.
+    pub fn placed(&self) -> Vec<Placed> {
+        let placements = |records: &[InstanceRecord]| records.iter().map(InstanceRecord::placement).collect();
+        match self.instances() {
+            None => vec![Placed { clusters: 0..self.record.clusters, placements: vec![Placement::IDENTITY] }],
+            Some(all) => {
+                let clusters = |o: &ObjectRecord| o.first_cluster..o.first_cluster + o.cluster_count;
+                let placed = |o| Placed { clusters: clusters(o), placements: placements(all.of(o)) };
+                all.objects.iter().map(placed).collect()
+            }
+        }
+    }
+
+    /// World position (input units) of a grid point of an instance.
+    pub fn world_of(&self, grid: [i32; 3], placement: &Placement) -> DVec3 {
+        let origin = DVec3::from(self.record.origin);
+        match *placement == Placement::IDENTITY {
+            true => self.world(grid),
+            false => origin + placement.point(DVec3::from(grid.map(f64::from)) * self.record.quantum),
+        }
     }
 
     /// World position (input units) of a grid point.

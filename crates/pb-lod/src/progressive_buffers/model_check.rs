@@ -4,7 +4,7 @@
 
 use super::codec::{MAX_TRIANGLES, MAX_VERTICES};
 use super::layout::*;
-use super::model::{FLAG_COLORS, FLAG_CUTOUT, FLAG_TEXTURES, Model};
+use super::model::{FLAG_COLORS, FLAG_CUTOUT, FLAG_INSTANCES, FLAG_TEXTURES, Model};
 use super::textures::{map_fault, tile_fault};
 use crate::plan::ChunkId;
 
@@ -25,7 +25,8 @@ pub(super) fn check(model: &Model) -> Check {
     check_clusters(model)?;
     check_levels(model)?;
     check_model_levels(model)?;
-    check_nodes(model)
+    check_nodes(model)?;
+    check_instances(model)
 }
 
 fn ensure(holds: bool, what: impl FnOnce() -> String, why: &str) -> Check {
@@ -47,7 +48,7 @@ fn check_record(model: &Model) -> Check {
     ensure(power_of_two, what, "the quantum is not a power of two")?;
     ensure((0..3).all(|k| r.bounds_min[k] <= r.bounds_max[k]), what, "the bounds are empty")?;
     ensure(on_grid(r.bounds_min) && on_grid(r.bounds_max), what, "the bounds are beyond 2^30 quanta")?;
-    let known = r.flags & !(FLAG_COLORS | FLAG_TEXTURES | FLAG_CUTOUT) == 0 && r.reserved == [0; 5];
+    let known = r.flags & !(FLAG_COLORS | FLAG_TEXTURES | FLAG_CUTOUT | FLAG_INSTANCES) == 0 && r.reserved == [0; 5];
     let textured = r.flags & FLAG_TEXTURES != 0;
     ensure(textured || r.flags & FLAG_CUTOUT == 0, what, "it has cut-outs but no textures")?;
     ensure(!textured || r.flags & FLAG_COLORS == 0, what, "it has both textures and vertex colours")?;
@@ -146,6 +147,18 @@ fn check_model_levels(model: &Model) -> Check {
         ensure(m.vertices >= 1 && m.vertices <= vertices, what, "it has more positions than vertices, or none")?;
         let finite = |x: f64| x.is_finite() && x >= 0.0;
         ensure(finite(m.max_error) && finite(m.rms_error), what, "an error is not a finite positive number")?;
+    }
+    Ok(())
+}
+
+/// Objects divide clusters and instances, and no border lies between two of them.
+fn check_instances(model: &Model) -> Check {
+    let Some(instances) = model.instances() else { return Ok(()) };
+    instances.fault(model.record().clusters, model.nodes()).map_or(Ok(()), Err)?;
+    for (i, o) in instances.objects.iter().enumerate() {
+        let own = o.first_cluster..o.first_cluster + o.cluster_count;
+        let inside = own.clone().all(|c| model.neighbours(c).iter().all(|n| own.contains(n)));
+        ensure(inside, || format!("object {i}"), "a cluster of it has a neighbour in another object")?;
     }
     Ok(())
 }

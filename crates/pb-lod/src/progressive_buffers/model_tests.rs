@@ -1,8 +1,9 @@
 //! What `Model` refuses, and what it hands out.
 
 use super::baked_torus::{archive, baked, open, torus};
+use super::instances::{InstanceRecord, ObjectRecord, Placement};
 use super::layout::*;
-use super::model::{FLAG_COLORS, Model};
+use super::model::{FLAG_COLORS, FLAG_INSTANCES, Model};
 use super::write::BakedModel;
 use crate::plan::ChunkId;
 use std::path::Path;
@@ -24,7 +25,8 @@ fn tables_that_contradict_one_another_are_refused_with_the_place() {
         (|m| m.clusters[3].origin[0] = i32::MIN, "cluster 3: its origin or centre"),
         (|m| m.clusters[3].center[0] = i32::MIN, "cluster 3: its origin or centre"),
         (|m| m.nodes[3].center[1] = i32::MIN, "hierarchy node 3: its centre"),
-        (|m| m.record.flags = 8, "reserved bits"),
+        (|m| m.record.flags = 16, "reserved bits"),
+        (|m| m.record.flags = 8, "section \"OBJT\" is missing"),
         (|m| m.record.flags = 4, "cut-outs but no textures"),
         (|m| m.record.flags = 2, "section \"TMAP\" is missing"),
         (|m| m.clusters.truncate(8), "the cluster table: it has 8 entries instead of 9"),
@@ -153,6 +155,86 @@ fn textures_that_contradict_the_tables_are_refused_with_the_place() {
     let model = open(&model).unwrap();
     let text = model.read_texture(ChunkId(27)).expect_err("too short").to_string();
     assert!(text.contains("16383 bytes of texels instead of 16384"), "{text}");
+}
+
+/// A torus that stands twice.
+fn crowded() -> BakedModel {
+    let mut model = baked(&torus(3, 2));
+    model.record.flags |= FLAG_INSTANCES;
+    model.objects = vec![ObjectRecord {
+        first_cluster: 0,
+        cluster_count: 9,
+        node: 0,
+        first_instance: 0,
+        instance_count: 2,
+        reserved: 0,
+    }];
+    let moved = Placement { translation: glam::DVec3::X * 64.0, scale: 0.5, ..Placement::IDENTITY };
+    model.instances = [Placement::IDENTITY, moved].iter().map(InstanceRecord::new).collect();
+    model
+}
+
+#[test]
+fn instances_come_back_as_they_were_written_and_an_older_reader_refuses_them_by_name() {
+    let model = crowded();
+    let found = open(&model).unwrap();
+    let instances = found.instances().unwrap();
+    assert_eq!((instances.objects, instances.instances), (&*model.objects, &*model.instances));
+    let [low, high] = found.world_bounds();
+    let of_one = found.record().bounds_max.map(|x| f64::from(x) / 1024.0);
+    assert!(low.distance(found.world(found.record().bounds_min)) < 1e-9, "{low}");
+    assert!((high.x - (64.0 + 0.5 * of_one[0])).abs() < 1e-9 && high.y == of_one[1], "{high}");
+    let older = (1 << 0) | (1 << 1);
+    let refused = pb_archive::Archive::from_bytes(Path::new("torus.pb"), &archive(&model), older);
+    let text = refused.err().expect("bit 2 is not known").to_string();
+    assert!(text.contains("instances"), "{text}");
+}
+
+#[test]
+fn instances_that_contradict_the_tables_or_stand_nowhere_are_refused_with_the_place() {
+    let damages: &[(Damage, &str)] = &[
+        (|m| m.objects[0].cluster_count = 8, "object 0: its node has not its clusters"),
+        (
+            |m| (m.objects[0].cluster_count, m.objects[0].node) = (m.nodes[1].cluster_count, 1),
+            "the objects: they have 4",
+        ),
+        (|m| m.objects[0].node = 17, "object 0: its node has not"),
+        (|m| m.objects[0].first_cluster = 1, "object 0: it does not begin"),
+        (|m| m.objects[0].instance_count = u32::MAX, "the objects: they have 9 clusters and 4294967295 instances"),
+        (|m| m.objects[0].instance_count = 0, "object 0: it has no clusters or no instances"),
+        (|m| m.objects[0].reserved = 1, "reserved bytes"),
+        (|m| m.instances.truncate(1), "the objects: they have 9 clusters and 2 instances"),
+        (|m| m.instances[1].scale = 0.0, "instance 1: its scale"),
+        (|m| m.instances[1].scale = f64::NAN, "instance 1: its scale"),
+        (|m| m.instances[1].scale = -1.0, "instance 1: its scale"),
+        (|m| m.instances[1].translation[2] = f64::INFINITY, "instance 1: its place"),
+        (|m| m.instances[1].translation[2] = f64::NAN, "instance 1: its place"),
+        (|m| m.instances[0].rotation = [0.0; 4], "instance 0: its rotation"),
+        (|m| m.instances[0].rotation[3] = f64::NAN, "instance 0: its rotation"),
+    ];
+    for (damage, message) in damages {
+        let mut model = crowded();
+        damage(&mut model);
+        let text = open(&model).err().unwrap_or_else(|| panic!("{message}")).to_string();
+        assert!(text.starts_with("torus.pb: ") && text.contains(message), "{message}: {text}");
+    }
+    // A border between two objects.
+    let mut model = crowded();
+    let (left, right) = (model.nodes[0].left, model.nodes[0].right);
+    let part = |node: u32, first: u32| {
+        let n = &model.nodes[node as usize];
+        ObjectRecord {
+            first_cluster: n.first_cluster,
+            cluster_count: n.cluster_count,
+            node,
+            first_instance: first,
+            instance_count: 1,
+            reserved: 0,
+        }
+    };
+    model.objects = vec![part(left, 0), part(right, 1)];
+    let text = open(&model).err().expect("a border between objects").to_string();
+    assert!(text.contains("a neighbour in another object"), "{text}");
 }
 
 #[test]

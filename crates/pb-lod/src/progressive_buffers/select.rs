@@ -9,6 +9,7 @@ mod ahead;
 #[cfg(test)]
 mod ahead_tests;
 mod budget;
+mod crowd;
 mod floors;
 mod tables;
 #[cfg(test)]
@@ -27,9 +28,10 @@ use self::tables::{Ladder, Tables};
 use self::walk::{Eyes, Place, Scope, Seen, Walk};
 use self::wants::Wants;
 use super::display::LodTable;
+use super::instances::Placement;
 use super::model::Model;
 use super::switch::Switch;
-use crate::plan::{ChunkId, Class, Detail, Draw, Frame, Plan, View, Want};
+use crate::plan::{ChunkId, Class, CoarseDraw, Detail, Draw, Frame, Plan, View, Want};
 
 /// A cluster this much nearer (distance ratio) would need its next level: load that about now.
 const SOON_MARGIN: f32 = 0.8;
@@ -157,25 +159,30 @@ impl Selector {
         let t = &self.tables;
         let coarsest = t.levels - 1;
         let mut draws: Vec<(Draw, f32)> = Vec::new();
-        let mut ranges: Vec<std::ops::Range<u32>> = walk.coarse.iter().map(|r| t.coarse_indices(r.clone())).collect();
+        let coarse = |instance: u32, clusters: &std::ops::Range<u32>| CoarseDraw {
+            instance,
+            indices: t.coarse_indices(clusters.clone()),
+        };
+        let mut ranges: Vec<CoarseDraw> = walk.coarse.iter().map(|(i, r)| coarse(*i, r)).collect();
         plan.error_px = walk.coarse_error_px;
         for seen in walk.seen.iter().filter(|s| s.place == Place::Visible) {
             let lod = t.lod(switch, seen.cluster, seen.reach).max(self.floors.floor(seen.cluster));
             let level = (lod as u32).min(coarsest);
             plan.error_px = plan.error_px.max(eyes.error_px(t.error_at(seen.cluster, lod), seen.pixel));
             if level == coarsest {
-                ranges.push(t.coarse_indices(seen.cluster..seen.cluster + 1));
+                ranges.push(coarse(seen.instance, &(seen.cluster..seen.cluster + 1)));
             } else {
                 plan.triangles += t.triangles(seen.cluster, level) as u64;
-                draws.push((Draw { cluster: seen.cluster, level }, seen.pixel));
+                draws.push((Draw { cluster: seen.cluster, level, instance: seen.instance }, seen.pixel));
             }
         }
         draws.sort_by(|(a, near), (b, far)| {
-            a.level.cmp(&b.level).then(near.total_cmp(far)).then(a.cluster.cmp(&b.cluster))
+            let order = a.level.cmp(&b.level).then(near.total_cmp(far));
+            order.then((a.instance, a.cluster).cmp(&(b.instance, b.cluster)))
         });
         plan.draws = draws.into_iter().map(|(draw, _)| draw).collect();
         plan.coarse = merge(ranges);
-        plan.triangles += plan.coarse.iter().map(|r| (r.end - r.start) as u64 / 3).sum::<u64>();
+        plan.triangles += plan.coarse.iter().map(|r| r.indices.len() as u64 / 3).sum::<u64>();
     }
 
     /// Chunks that the views of this frame want: now for what is drawn, soon for the target on the way to which that is.
@@ -257,10 +264,11 @@ impl Selector {
     }
 
     /// The level whose index buffer may draw a cluster for this view: `floor` of the smallest lod in its
-    /// sphere, rounded towards finer so that the shader's f32 never sees a smaller lod at a vertex.
-    pub fn drawn_level(&self, cluster: u32, view: &View, detail: Detail) -> u32 {
+    /// sphere, rounded towards finer so that the shader's f32 never sees a smaller lod at a vertex. `placement` is that of
+    /// an instance, or the identity.
+    pub fn drawn_level(&self, cluster: u32, view: &View, detail: Detail, placement: &Placement) -> u32 {
         let eyes = Eyes::new(std::slice::from_ref(view), detail, &self.tables);
-        let reach = eyes.reach(&self.tables, cluster).0;
+        let reach = eyes.reach_at(placement, self.tables.sphere(cluster)).0;
         let switch = Switch::new(detail, 1.0, self.tables.quantum);
         let lod = self.tables.lod(&switch, cluster, reach).max(self.floors.floor(cluster));
         (lod as u32).min(self.tables.levels - 1)
@@ -361,17 +369,19 @@ fn triangles(t: &Tables, floor: impl Fn(u32) -> f32, walk: &Walk, target: &Targe
         let lod = t.lod(&switch, s.cluster, reach).max(floor(s.cluster));
         t.triangles(s.cluster, (lod as u32).min(t.levels - 1)) as u64
     });
-    let coarse = walk.coarse.iter().map(|r| t.coarse_indices(r.clone())).map(|r| u64::from(r.end - r.start) / 3);
+    let coarse = walk.coarse.iter().map(|(_, r)| t.coarse_indices(r.clone())).map(|r| u64::from(r.end - r.start) / 3);
     seen.sum::<u64>() + coarse.sum::<u64>()
 }
 
-/// Sorts ranges and joins those that touch.
-fn merge(mut ranges: Vec<std::ops::Range<u32>>) -> Vec<std::ops::Range<u32>> {
-    ranges.sort_by_key(|r| r.start);
-    let mut out: Vec<std::ops::Range<u32>> = Vec::new();
-    for range in ranges.into_iter().filter(|r| !r.is_empty()) {
+/// Sorts ranges by instance, and joins those of one instance that touch.
+fn merge(mut ranges: Vec<CoarseDraw>) -> Vec<CoarseDraw> {
+    ranges.sort_by_key(|r| (r.instance, r.indices.start));
+    let mut out: Vec<CoarseDraw> = Vec::new();
+    for range in ranges.into_iter().filter(|r| !r.indices.is_empty()) {
         match out.last_mut() {
-            Some(last) if last.end == range.start => last.end = range.end,
+            Some(last) if last.instance == range.instance && last.indices.end == range.indices.start => {
+                last.indices.end = range.indices.end;
+            }
             _ => out.push(range),
         }
     }

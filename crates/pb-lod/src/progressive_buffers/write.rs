@@ -1,5 +1,6 @@
 //! From a finished bake to a file: the other half of [`model`](super::model).
 
+use super::instances::{INSTANCES, InstanceRecord, OBJECTS, ObjectRecord};
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, TileRecord};
 use pb_archive::{ArchiveError, ChunkBytes, Feature, Storage, Writer};
@@ -8,8 +9,10 @@ use pb_archive::{ArchiveError, ChunkBytes, Feature, Storage, Writer};
 pub const CHUNK_CODEC: Feature = Feature { bit: 0, name: "meshopt-chunks" };
 /// Chunks behind those of the geometry hold texture mips, and vertices texture coordinates.
 pub const TEXTURE_TILES: Feature = Feature { bit: 1, name: "texture-tiles" };
+/// Clusters belong to objects, which stand in several places.
+pub const OBJECT_INSTANCES: Feature = Feature { bit: 2, name: "instances" };
 /// The required features that this program reads, as bits.
-pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit | 1 << TEXTURE_TILES.bit;
+pub const KNOWN_FEATURES: u64 = 1 << CHUNK_CODEC.bit | 1 << TEXTURE_TILES.bit | 1 << OBJECT_INSTANCES.bit;
 
 /// A packed chunk.
 #[derive(Clone, Debug)]
@@ -39,6 +42,10 @@ pub struct BakedModel {
     pub maps: Vec<MapRecord>,
     /// Their tiles, one per cluster where there are maps.
     pub tiles: Vec<TileRecord>,
+    /// In the order of their clusters; none where all clusters stand where they are, once.
+    pub objects: Vec<ObjectRecord>,
+    /// In the order of their objects.
+    pub instances: Vec<InstanceRecord>,
     /// `cluster * levels + level`; where there are maps, those of the textures follow in the same order.
     pub chunks: Vec<EncodedChunk>,
 }
@@ -52,6 +59,9 @@ pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Res
     let kinds = if model.maps.is_empty() { 1 } else { 2 };
     if kinds == 2 {
         writer.require(TEXTURE_TILES);
+    }
+    if !model.objects.is_empty() {
+        writer.require(OBJECT_INSTANCES);
     }
     for level in (0..levels).rev() {
         for cluster in 0..model.record.clusters * kinds {
@@ -69,6 +79,10 @@ pub fn write_model<S: Storage>(mut writer: Writer<S>, model: &BakedModel) -> Res
     if kinds == 2 {
         writer.add_section(MAPS, &model.maps)?;
         writer.add_section(TILES, &model.tiles)?;
+    }
+    if !model.objects.is_empty() {
+        writer.add_section(OBJECTS, &model.objects)?;
+        writer.add_section(INSTANCES, &model.instances)?;
     }
     writer.finish()
 }

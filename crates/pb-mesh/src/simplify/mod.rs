@@ -134,9 +134,10 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     drop(members);
     let mut counts = vec![input.positions.len()];
     let mut search = Search::new(&patches, input.positions);
+    // But for points that vanished components leave.
     let mut alive = input.positions.len();
     for level in 0..levels - 1 {
-        alive -= patches.par_iter().map(|p| lock(p).bury_points()).sum::<usize>();
+        patches.par_iter().for_each(|p| lock(p).bury_points());
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
         patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
@@ -158,7 +159,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             progress(SET_UP_SHARE + dead * (1.0 - SET_UP_SHARE));
         }
         hand_over(&patches, &mut seams, &forest, level as u8);
-        counts.push(alive);
+        counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
     collect(&patches, input, forest, counts)
 }
@@ -183,7 +184,7 @@ fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
 fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, keep: f64, quota: usize) -> usize {
     let inside = |p: &Mutex<Patch>, quota: usize| {
         let mut p = lock(p);
-        let vanishing = (p.alive() as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
+        let vanishing = ((p.alive() - p.point_count()) as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
         let collapsed = p.collapse_interior(limit, quota);
         collapsed + p.vanish(limit, vanishing.min(quota - collapsed))
     };

@@ -27,7 +27,13 @@ struct View {
     anisotropy: f32,
     // 1 where the picture cannot hold light brighter than 1.
     tone_map: u32,
-    reserved: u32,
+    // Where in `links` the clusters of the coarse buffer's vertices begin.
+    first_owner: u32,
+    // Where in `frame` the draws begin.
+    first_draw: u32,
+    reserved_0: u32,
+    reserved_1: u32,
+    reserved_2: u32,
 }
 
 struct Cluster {
@@ -51,6 +57,8 @@ struct Level {
 // Number of levels L. No uniform: where one bounds a loop, Mesa's lavapipe 22.3 makes a new shader for each frame and
 // keeps them all.
 override level_count: u32;
+// Objects stand in several places.
+override instanced: bool = false;
 
 @group(0) @binding(0) var<uniform> view: View;
 // Vertices of 16 bytes and index ranges, by chunk.
@@ -62,9 +70,41 @@ override level_count: u32;
 @group(0) @binding(4) var<storage, read> distances: array<f32>;
 // Residency floors m_c, levels; by cluster
 @group(0) @binding(5) var<storage, read> floors: array<f32>;
-@group(0) @binding(6) var<storage, read> neighbours: array<u32>;
-// Cluster of each vertex of the coarse buffer.
-@group(0) @binding(7) var<storage, read> coarse_clusters: array<u32>;
+// Neighbour lists, then the cluster of each vertex of the coarse buffer.
+@group(0) @binding(6) var<storage, read> links: array<u32>;
+// Where there are instances: how those of the frame stand, 5 words each; then per draw cluster * 16 + level, and which of
+// these it is for.
+@group(0) @binding(7) var<storage, read> frame: array<vec4<u32>>;
+
+// How an object stands in the world, and where the eye is for it.
+struct Stand {
+    // As in `View`.
+    eye_cell: vec3<i32>,
+    // What multiplies a distance in the object before it is compared with switch distances.
+    stretch: f32,
+    eye_rest: vec3<f32>,
+    // The object's axes in the world, as long as its scale.
+    x: vec3<f32>,
+    y: vec3<f32>,
+    z: vec3<f32>,
+}
+
+// That of an object which stands where its clusters are.
+fn at_home() -> Stand {
+    return Stand(view.eye_cell, 1.0, view.eye_rest, vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0));
+}
+
+fn stand_of(slot: u32) -> Stand {
+    let w = slot * 5u;
+    return Stand(bitcast<vec3<i32>>(frame[w].xyz), bitcast<f32>(frame[w].w), bitcast<vec3<f32>>(frame[w + 1u].xyz),
+        bitcast<vec3<f32>>(frame[w + 2u].xyz), bitcast<vec3<f32>>(frame[w + 3u].xyz),
+        bitcast<vec3<f32>>(frame[w + 4u].xyz));
+}
+
+// A direction of the object in the world, times its scale.
+fn turned(s: Stand, v: vec3<f32>) -> vec3<f32> {
+    return s.x * v.x + s.y * v.y + s.z * v.z;
+}
 
 struct Displayed {
     // Relative to the eye, world units.
@@ -92,22 +132,22 @@ fn table_lod(cluster: u32, d: f32) -> f32 {
     return max(lod, floors[cluster]);
 }
 
-// Position relative to the eye: the integer part is exact, and quanta are powers of two.
-fn position_of(cluster: u32, vertex: vec4<u32>) -> vec3<f32> {
+// Position relative to the eye, in the object: the integer part is exact, and quanta are powers of two.
+fn position_of(s: Stand, cluster: u32, vertex: vec4<u32>) -> vec3<f32> {
     let c = clusters[cluster];
     let offset = vec3<u32>(vertex.x & 0xffffu, vertex.x >> 16u, vertex.y & 0xffffu);
     let grid = c.origin + vec3<i32>(offset << vec3<u32>(c.shift));
-    return vec3<f32>(grid - view.eye_cell) * view.quantum - view.eye_rest;
+    return vec3<f32>(grid - s.eye_cell) * view.quantum - s.eye_rest;
 }
 
 // Level of detail of a position: the larger of its two clusters'. Both clusters of a border position evaluate
 // the two tables in the order of the cluster indices, so that they run the same sums on the same numbers.
-fn lod_of(cluster: u32, vertex: vec4<u32>, position: vec3<f32>) -> f32 {
-    let d = sqrt(position.x * position.x + position.y * position.y + position.z * position.z);
+fn lod_of(s: Stand, cluster: u32, vertex: vec4<u32>, position: vec3<f32>) -> f32 {
+    let d = sqrt(position.x * position.x + position.y * position.y + position.z * position.z) * s.stretch;
     let slot = vertex.z >> 24u;
     var other = cluster;
     if slot != 0u {
-        other = neighbours[clusters[cluster].neighbours_first + slot - 1u];
+        other = links[clusters[cluster].neighbours_first + slot - 1u];
     }
     let a = table_lod(min(cluster, other), d);
     let b = table_lod(max(cluster, other), d);
@@ -157,8 +197,8 @@ fn stored(cluster: u32, v: u32, dies: u32) -> vec4<u32> {
 // weighed by its own lod, so that the place is continuous whichever of them reaches the next level first.
 //
 // One loop with one copy of each sum: a finer cluster that has walked up to a vertex and a coarser one that starts
-// there run the very same instructions on it.
-fn display(cluster: u32, index: u32) -> Displayed {
+// there run the very same instructions on it. In the space of the object.
+fn display(s: Stand, cluster: u32, index: u32) -> Displayed {
     let last = level_count - 1u;
     var v = index;
     var level = 0u;
@@ -169,7 +209,7 @@ fn display(cluster: u32, index: u32) -> Displayed {
     loop {
         level = death(cluster, v, level);
         let vertex = stored(cluster, v, level);
-        let position = position_of(cluster, vertex);
+        let position = position_of(s, cluster, vertex);
         let next = plain(cluster, vertex, position);
         if passing {
             shown = next;
@@ -182,7 +222,7 @@ fn display(cluster: u32, index: u32) -> Displayed {
         if level == last {
             break;
         }
-        let t = lod_of(cluster, vertex, position);
+        let t = lod_of(s, cluster, vertex, position);
         passing = passing && t >= f32(level + 1u);
         if !passing {
             weight *= clamp(t - f32(level), 0.0, 1.0) * view.morph;

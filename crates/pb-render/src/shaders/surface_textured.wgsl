@@ -50,8 +50,12 @@ fn surface_of(f: Fragment) -> Surface {
     }
     let normal = map_of(NORMAL);
     if normal != NO_MAP {
-        let n = sample_map(normal_pages, p, normal).rgb * 2.0 - 1.0;
+        var n = sample_map(normal_pages, p, normal).rgb * 2.0 - 1.0;
         if object_normals {
+            if instanced {
+                let s = stand_of(f.slot);
+                n = turned(s, n) * inverseSqrt(dot(s.x, s.x));
+            }
             s.normal = select(s.normal, normalize(n), dot(n, n) > SHORTEST * SHORTEST);
         } else {
             let z = sqrt(max(1.0 - dot(n.xy, n.xy), 0.0));

@@ -2,7 +2,7 @@
 
 use crate::random_model::{PICTURE, RandomModel};
 use glam::DVec3;
-use pb_lod::plan::{ChunkId, Draw, Plan};
+use pb_lod::plan::{ChunkId, CoarseDraw, Draw, Plan};
 use pb_render::{BACKGROUND_SRGB, Camera, Coarse, Gpu, Offscreen, RenderError, Renderer, Scene, Style, grid_eye};
 
 /// Vertices stand still: every cluster's floor is at the coarsest level, or all tables say "finest".
@@ -22,7 +22,7 @@ fn upload_all(gpu: &Gpu, model: &RandomModel, renderer: &mut Renderer) {
 
 /// Every cluster drawn with the index buffer of `level`.
 fn plan_at(model: &RandomModel, level: u32) -> Plan {
-    let draws = (0..model.model.clusters).map(|cluster| Draw { cluster, level }).collect();
+    let draws = (0..model.model.clusters).map(|cluster| Draw { cluster, level, instance: 0 }).collect();
     Plan { draws, floors: model.floors(), ..Plan::default() }
 }
 
@@ -60,10 +60,11 @@ fn the_coarse_buffer_draws_what_single_clusters_draw_at_the_coarsest_level() {
     upload_all(&gpu, &model, &mut renderer);
     let fine = picture(&gpu, &model, &renderer, &plan_at(&model, 0), Style::default());
     let all = 0..renderer.model.coarse_indices();
-    let coarse = Plan { coarse: vec![all.clone()], floors: model.floors(), ..Plan::default() };
+    let part = |indices| CoarseDraw { instance: 0, indices };
+    let coarse = Plan { coarse: vec![part(all.clone())], floors: model.floors(), ..Plan::default() };
     assert!(fine == picture(&gpu, &model, &renderer, &coarse, Style::default()));
     let middle = renderer.model.coarse_range(15).start;
-    let split = Plan { coarse: vec![0..middle, middle..all.end], ..coarse };
+    let split = Plan { coarse: vec![part(0..middle), part(middle..all.end)], ..coarse };
     assert!(fine == picture(&gpu, &model, &renderer, &split, Style::default()));
 }
 

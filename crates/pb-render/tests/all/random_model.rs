@@ -94,6 +94,7 @@ impl RandomModel {
             levels: &self.levels,
             neighbours: &self.neighbours,
             textures: None,
+            instances: None,
         }
     }
 

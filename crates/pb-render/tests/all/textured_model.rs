@@ -3,7 +3,7 @@
 use crate::random_model::Random;
 use bytemuck::Zeroable;
 use glam::DVec3;
-use pb_lod::plan::{ChunkId, Plan};
+use pb_lod::plan::{ChunkId, CoarseDraw, Plan};
 use pb_lod::progressive_buffers::layout::{ClusterRecord, LevelRecord, ModelRecord, Vertex};
 use pb_lod::progressive_buffers::model::FLAG_CUTOUT;
 use pb_lod::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, MipPlace, Textures, TileRecord};
@@ -78,6 +78,7 @@ impl TexturedModel {
             levels: &self.levels,
             neighbours: &[],
             textures: Some(self.textures()),
+            instances: None,
         }
     }
 
@@ -132,7 +133,7 @@ impl Shot<'_> {
         let target = Offscreen::new(gpu, [self.size; 2], PICTURE, Samples::One).unwrap();
         let floors = vec![0.0; model.tiles.len()];
         let plan = Plan {
-            coarse: vec![renderer.model.coarse_range(self.cluster)],
+            coarse: vec![CoarseDraw { instance: 0, indices: renderer.model.coarse_range(self.cluster) }],
             floors,
             texture_floors: self.floors.to_vec(),
             ..Plan::default()

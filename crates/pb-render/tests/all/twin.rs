@@ -14,7 +14,7 @@ struct Probe { cluster: u32, count: u32 }
 @compute @workgroup_size(64)
 fn probe_display(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= probe.count { return; }
-    let d = display(probe.cluster, id.x);
+    let d = display(at_home(), probe.cluster, id.x);
     shown[id.x] = array<f32, 12>(
         d.position.x, d.position.y, d.position.z, d.normal.x, d.normal.y, d.normal.z,
         d.color.x, d.color.y, d.color.z, d.color.w, 0.0, 0.0);

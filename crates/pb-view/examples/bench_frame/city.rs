@@ -164,6 +164,7 @@ impl City {
 
     pub fn selector(&self) -> Selector {
         Selector::new(&SelectTables {
+            instances: None,
             model: &self.model,
             clusters: &self.clusters,
             levels: &self.levels,

@@ -222,7 +222,7 @@ impl Viewer {
         (tally.wants, tally.draws) = (plan.wants.len(), plan.draws.len());
         tally.missing += u64::from(plan.missing_chunks);
         tally.add(plan.draws.iter().flat_map(|d| [d.cluster, d.level]));
-        tally.add(plan.coarse.iter().flat_map(|r| [r.start, r.end]));
+        tally.add(plan.coarse.iter().flat_map(|r| [r.indices.start, r.indices.end]));
         tally.add(plan.wants.iter().flat_map(|w| [w.chunk.0, w.class as u32, w.error_px.to_bits()]));
         tally.add(plan.released.iter().map(|c| c.0));
         tally.add(plan.floors.iter().chain(&plan.texture_floors).map(|f| f.to_bits()));
@@ -311,6 +311,7 @@ fn camera(key: &Keyframe) -> Camera {
 /// With room for the coarse buffer, and for a bound with holes between what lies in it.
 fn draw_table(city: &City, bound: u64) -> DrawTable {
     let tables = ModelTables {
+        instances: None,
         model: &city.model,
         clusters: &city.clusters,
         levels: &city.levels,

@@ -148,6 +148,7 @@ impl SimScene {
     pub fn selector(&self) -> Selector {
         let levels = self.model.levels;
         Selector::new(&SelectTables {
+            instances: None,
             model: &self.model,
             clusters: &self.clusters,
             levels: &self.levels,

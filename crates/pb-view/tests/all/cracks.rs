@@ -2,7 +2,7 @@
 //! that looks away. The silhouette is that of the full mesh, drawn by the plainest pipeline.
 
 use crate::reference::{Look, Reference};
-use crate::support::{adapter, camera, column, folder, pb_view, read_frame, scan, text, torus, write_flight};
+use crate::support::{adapter, camera, column, crowd, folder, pb_view, read_frame, scan, text, torus, write_flight};
 use pb_lod::progressive_buffers::model::Model;
 use pb_render::{BACKGROUND_SRGB, Samples};
 use pb_view::flypath::Flypath;
@@ -27,7 +27,7 @@ fn torus_flight(path: &Path) {
 /// Around a model outside its sphere, in steps that differ in distance: 25 frames.
 fn orbit(archive: &Path, path: &Path) {
     let model = Model::open(archive).unwrap();
-    let subject = subject(model.record(), glam::DVec3::Y);
+    let subject = subject(&model, glam::DVec3::Y);
     let key = |i: u32| {
         let (sin, cos) = (i as f64 * 0.8).sin_cos();
         let distance = subject.radius * if i.is_multiple_of(2) { 1.3 } else { 3.0 };
@@ -131,4 +131,16 @@ fn frames_of_a_closed_scan_show_no_hole() {
     orbit(&archive, &path);
     check(name, &archive, &path, &["--settle", "--error-px", "2"]);
     check(name, &archive, &path, &["--vram", "300KiB", "--late-frames", "2"]);
+}
+
+#[test]
+fn frames_of_closed_instances_show_no_hole() {
+    let path = folder("cracks_crowd").join("flight.json");
+    let keys = [
+        (0.0, [5.4, 1.0, 6.2], [4.5, 0.5, 5.0]),
+        (1.0, [12.0, 6.0, 12.0], [0.0, 0.0, 0.0]),
+        (2.0, [-25.0, 30.0, 40.0], [0.0, 0.0, -10.0]),
+    ];
+    write_flight(&path, 5.0, [0.0, 1.0, 0.0], 50.0, &keys);
+    check("cracks_crowd", crowd(), &path, &["--vram", "600KiB", "--ram", "600KiB"]);
 }

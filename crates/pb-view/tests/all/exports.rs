@@ -1,6 +1,8 @@
 //! `--export-view` surfaces: closed models stay closed, whatever the frame shows and wherever the model lies.
 
-use crate::support::{FAR, adapter, column, far_torus, folder, pb_view_line, torus, write_flight};
+use crate::support::{
+    FAR, adapter, column, crowd, crowd_placements, far_torus, folder, pb_view_line, torus, write_flight,
+};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -40,6 +42,14 @@ fn unmatched_edges(triangles: &[[u32; 3]]) -> usize {
 }
 
 fn check(name: &str, archive: &Path, center: [f64; 3], more: &str) {
+    let on_the_torus = |p: [f64; 3]| {
+        let radius = (0..3).map(|k| (p[k] - center[k]).powi(2)).sum::<f64>().sqrt();
+        (1.5..5.0).contains(&radius)
+    };
+    check_places(name, archive, (center, &on_the_torus), more);
+}
+
+fn check_places(name: &str, archive: &Path, (center, is_right): ([f64; 3], &dyn Fn([f64; 3]) -> bool), more: &str) {
     let Some(_) = adapter(name) else { return };
     let out = folder(name);
     let (path, stats) = (out.join("flight.json"), out.join("stats.csv"));
@@ -59,8 +69,7 @@ fn check(name: &str, archive: &Path, center: [f64; 3], more: &str) {
         let (positions, triangles) = read_ply(file);
         assert_eq!(unmatched_edges(&triangles), 0, "frame {frame}");
         for p in &positions {
-            let radius = (0..3).map(|k| (p[k] - center[k]).powi(2)).sum::<f64>().sqrt();
-            assert!((1.5..5.0).contains(&radius), "frame {frame}: {p:?} is not on the torus");
+            assert!(is_right(*p), "frame {frame}: {p:?} is not on the surface");
         }
         sizes.push(triangles.len());
     }
@@ -86,4 +95,23 @@ fn surfaces_with_bands_are_closed() {
 #[test]
 fn surfaces_far_from_the_origin_are_closed() {
     check("export_far", far_torus(), FAR, "--settle --error-px 2");
+}
+
+/// All instances together, each on its torus.
+fn check_crowd(name: &str, more: &str) {
+    let placements = crowd_placements();
+    let middles = [[0.0; 3], [0.0, 0.0, -12.0]].map(glam::DVec3::from);
+    let on_a_torus = |p: [f64; 3]| {
+        let p = glam::DVec3::from(p);
+        let near = |from: f64| (1.5..5.0).contains(&from);
+        near(p.distance(middles[0])) || placements.iter().any(|x| near(x.point_of(p).distance(middles[1])))
+    };
+    check_places(name, crowd(), ([0.0; 3], &on_a_torus), more);
+}
+
+#[test]
+fn surfaces_of_instances_are_closed_and_stand_where_the_instances_do() {
+    check_crowd("export_crowd", "--settle --error-px 2");
+    check_crowd("export_crowd_bands", "--settle --band 1.5,-0.3");
+    check_crowd("export_crowd_late", "--late-frames 3 --vram 600KiB --ram 300KiB");
 }

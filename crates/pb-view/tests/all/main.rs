@@ -3,6 +3,7 @@
 mod cracks;
 mod exports;
 mod headless;
+mod instances;
 mod mistakes;
 mod pops;
 mod reference;

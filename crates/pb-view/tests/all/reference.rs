@@ -1,7 +1,7 @@
 //! The plainest way to draw a model: all of level 0 in one vertex buffer and one index buffer, one draw call, a
 //! shader of a few lines that shares nothing with the program's.
 
-use pb_lod::progressive_buffers::model::Model;
+use pb_lod::progressive_buffers::model::{Model, Placed};
 use pb_render::{BACKGROUND_SRGB, Camera, DEPTH_FORMAT, Gpu, Offscreen, Samples};
 use std::path::Path;
 
@@ -91,12 +91,16 @@ impl<'a> Reference<'a> {
     pub fn new(gpu: &'a Gpu, archive: &Path, size: [u32; 2], samples: Samples) -> Self {
         let model = Model::open(archive).unwrap();
         let (mut positions, mut vertices, mut indices) = (Vec::new(), Vec::new(), Vec::<u32>::new());
-        for cluster in 0..model.record().clusters {
-            let prefix = model.read_prefix(cluster, 0).unwrap();
-            indices.extend(prefix.indices.iter().map(|&i| positions.len() as u32 + i as u32));
-            for v in &prefix.vertices {
-                positions.push(model.world(model.grid(cluster, v)));
-                vertices.push(Vertex { position: [0.0; 3], normal: v.normal(), color: v.color });
+        for Placed { clusters, placements } in model.placed() {
+            for (cluster, placement) in clusters.flat_map(|c| placements.iter().map(move |p| (c, p))) {
+                let prefix = model.read_prefix(cluster, 0).unwrap();
+                indices.extend(prefix.indices.iter().map(|&i| positions.len() as u32 + i as u32));
+                for v in &prefix.vertices {
+                    positions.push(model.world_of(model.grid(cluster, v), placement));
+                    let normal = placement.rotation * glam::DVec3::from(v.normal().map(f64::from));
+                    let normal = normal.as_vec3().to_array();
+                    vertices.push(Vertex { position: [0.0; 3], normal, color: v.color });
+                }
             }
         }
         let buffer = |bytes: usize, usage| {

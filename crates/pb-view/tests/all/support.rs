@@ -1,10 +1,12 @@
 //! What the tests share: a closed mesh made on the spot, archives baked from it, runs of the program.
 
+use glam::{DQuat, DVec3};
 use pb_archive::{Overwrite, Writer};
 use pb_lod::progressive_buffers::bake::{BakeOptions, bake};
 use pb_lod::progressive_buffers::layout::SCHEME;
 use pb_lod::progressive_buffers::write::write_model;
 use pb_mesh::mesh::Soup;
+use pb_mesh::objects::Placement;
 use pb_mesh::repair::{RepairOptions, repair};
 use pb_render::{Camera, Gpu, RenderError};
 use pb_view::flypath::Keyframe;
@@ -89,6 +91,70 @@ pub fn small_torus() -> &'static Path {
 pub fn far_torus() -> &'static Path {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
     PATH.get_or_init(|| baked("far_torus.pb", bumpy_torus(96, FAR), 4))
+}
+
+/// A torus of 18 432 triangles that stands once, and one of 8 192 that stands five times around it, turned, of several
+/// sizes, one of them before a closer look's eye; baked once per test run.
+pub fn crowd() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| baked("crowd.pb", crowd_soup(), 4))
+}
+
+/// The same with all instances as geometry.
+pub fn crowd_written_out() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| baked("crowd_written_out.pb", written_out(&crowd_soup()), 4))
+}
+
+/// Where the instances of the crowd's second torus stand.
+pub fn crowd_placements() -> Vec<Placement> {
+    let turned = |scale: f64, x: f64, y: f64, z: f64, angle: f64| {
+        let rotation = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, angle).normalize(), angle);
+        let to = DVec3::new(x, y, z);
+        // Turned around its middle.
+        Placement { rotation, scale, translation: to - scale * (rotation * CROWD_MIDDLE) }
+    };
+    vec![
+        Placement::IDENTITY,
+        turned(0.5, 6.0, 1.0, 4.0, 1.3),
+        turned(0.25, 4.5, 0.5, 5.0, 2.9),
+        turned(1.0, -30.0, 4.0, -60.0, 0.4),
+        turned(0.9, -9.0, -1.0, 3.0, 4.0),
+    ]
+}
+
+/// Where the crowd's second torus is baked.
+const CROWD_MIDDLE: DVec3 = DVec3::new(0.0, 0.0, -12.0);
+
+fn crowd_soup() -> Soup {
+    let mut soup = bumpy_torus(96, [0.0; 3]);
+    let count = soup.positions.len();
+    let mut second = bumpy_torus(64, CROWD_MIDDLE.to_array());
+    second.objects.of = vec![1; second.positions.len()];
+    second.objects.placements = vec![crowd_placements()];
+    soup.append(second);
+    assert_eq!(soup.objects.of[count - 1..count + 1], [0, 1]);
+    soup
+}
+
+/// Objects as geometry, wherever they stand.
+fn written_out(soup: &Soup) -> Soup {
+    let mut out = Soup::default();
+    for (object, placements) in [vec![Placement::IDENTITY]].iter().chain(&soup.objects.placements).enumerate() {
+        for placement in placements {
+            let first = soup.objects.of.iter().position(|&o| o == object as u32).expect("each object is there");
+            let records = (first..soup.positions.len()).filter(|&r| soup.objects.of[r] == object as u32);
+            let mut part = Soup::default();
+            for r in records {
+                part.positions.push(placement.point(DVec3::from(soup.positions[r])).to_array());
+                part.colors.push(soup.colors[r]);
+            }
+            let own = soup.triangles.iter().filter(|t| soup.objects.of[t[0] as usize] == object as u32);
+            part.triangles = own.map(|t| t.map(|i| i - first as u32)).collect();
+            out.append(part);
+        }
+    }
+    out
 }
 
 /// Where the far torus lies.

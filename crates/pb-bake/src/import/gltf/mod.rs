@@ -7,6 +7,7 @@
 mod accessor;
 mod buffers;
 mod document;
+mod instances;
 mod materials;
 mod scene;
 
@@ -17,9 +18,9 @@ use accessor::Reader;
 use buffers::Buffers;
 use document::{Document, Primitive, Versioned};
 use glam::{DMat3, DMat4, DVec3};
+use instances::Layout;
 use materials::Materials;
 use pb_mesh::mesh::{NO_MATERIAL, Soup};
-use scene::Placed;
 
 const MODE_TRIANGLES: u32 = 4;
 const MODE_STRIP: u32 = 5;
@@ -50,23 +51,32 @@ pub(super) fn read(input: &Input, warnings: &mut Warnings) -> Result<Model, Impo
         materials.uv_sets.push(0);
     }
     let placed = scene::placed_meshes(&reader, input.max_triangles)?;
-    let size = measure(&reader, &placed, &materials, input.max_triangles)?;
+    let layout = match input.keeps_instances {
+        true => Layout::of(placed, |mesh| triangles_of(&reader, mesh)),
+        false => Layout { single: placed, ..Layout::default() },
+    };
+    let written = layout.single.iter().map(|at| at.mesh).chain(layout.objects.iter().map(|o| o.mesh));
+    let size = measure(&reader, written, &materials, input.max_triangles)?;
     let mut parts = Parts { reader: &reader, materials: &materials, cache: Vec::new(), warnings };
     parts.cache.resize_with(document.meshes.len(), || None);
     let mut soup = Soup::default();
     soup.positions.reserve_exact(size.vertices as usize);
     soup.triangles.reserve_exact(size.triangles as usize);
     soup.uv_sets.resize_with(if size.has_uvs { materials.uv_sets.len() } else { 0 }, Vec::new);
-    for at in &placed {
-        for part in parts.of_mesh(at.mesh)? {
-            add(part, at.world, size.has_colors, &mut soup);
-            soup.material_of.resize(soup.triangles.len(), part.material);
-        }
+    for at in &layout.single {
+        parts.write(at.mesh, at.world, size.has_colors, &mut soup)?;
     }
+    for object in &layout.objects {
+        soup.objects.of.resize(soup.positions.len(), 0);
+        let middle = parts.write(object.mesh, object.base, size.has_colors, &mut soup)?;
+        soup.objects.placements.push(object.placements(middle));
+        soup.objects.of.resize(soup.positions.len(), soup.objects.placements.len() as u32);
+    }
+    let instances = layout.counts(parts.warnings);
     if materials.list.is_empty() {
         soup.material_of = Vec::new();
     }
-    Ok(Model { soup, materials: materials.list, images: materials.images.list })
+    Ok(Model { soup, materials: materials.list, images: materials.images.list, instances })
 }
 
 /// The error for geometry that only an extension can unpack.
@@ -154,24 +164,21 @@ struct Size {
     has_uvs: bool,
 }
 
-/// Sums up all placed primitives; refuses what is too large.
+/// Sums up the primitives of all meshes that are written; refuses what is too large.
 fn measure(
     reader: &Reader,
-    placed: &[Placed],
+    meshes: impl Iterator<Item = usize>,
     materials: &Materials,
     max_triangles: usize,
 ) -> Result<Size, ImportError> {
     let mut size = Size::default();
-    for at in placed {
-        let Some(mesh) = reader.document.meshes.get(at.mesh) else {
-            let what = format!("a node has mesh {}, but there are only {}", at.mesh, reader.document.meshes.len());
+    for number in meshes {
+        let Some(mesh) = reader.document.meshes.get(number) else {
+            let what = format!("a node has mesh {number}, but there are only {}", reader.document.meshes.len());
             return Err(damaged(reader.name, what));
         };
-        for primitive in mesh.primitives.iter().filter(|p| (MODE_TRIANGLES..=MODE_FAN).contains(&p.mode)) {
-            let Some(position) = primitive.attributes.position else { continue };
-            let vertices = reader.accessor(position)?.count;
-            let corners = primitive.indices.map_or(Ok(vertices), |i| reader.accessor(i).map(|a| a.count))?;
-            let triangles = if primitive.mode == MODE_TRIANGLES { corners / 3 } else { corners.saturating_sub(2) };
+        for primitive in &mesh.primitives {
+            let Some([vertices, triangles]) = counts(reader, primitive)? else { continue };
             size.vertices = size.vertices.saturating_add(vertices);
             size.triangles = size.triangles.saturating_add(triangles);
             size.has_uvs |= materials.uv_sets.iter().any(|&n| primitive.attributes.uv(n).is_some());
@@ -190,6 +197,23 @@ fn measure(
         return Err(refused(Refusal::TooLarge, reader.name, what, format!("only {available} are available: split it")));
     }
     Ok(size)
+}
+
+/// Vertices and triangles of a primitive; none of points, lines and what has no positions.
+fn counts(reader: &Reader, primitive: &Primitive) -> Result<Option<[u64; 2]>, ImportError> {
+    let is_surface = (MODE_TRIANGLES..=MODE_FAN).contains(&primitive.mode);
+    let Some(position) = primitive.attributes.position.filter(|_| is_surface) else { return Ok(None) };
+    let vertices = reader.accessor(position)?.count;
+    let corners = primitive.indices.map_or(Ok(vertices), |i| reader.accessor(i).map(|a| a.count))?;
+    let triangles = if primitive.mode == MODE_TRIANGLES { corners / 3 } else { corners.saturating_sub(2) };
+    Ok(Some([vertices, triangles]))
+}
+
+/// Triangles of a mesh. What is wrong with it counts nothing here, and is said when the scene is measured.
+fn triangles_of(reader: &Reader, mesh: usize) -> u64 {
+    let primitives = reader.document.meshes.get(mesh).map_or(&[][..], |m| &m.primitives);
+    let counts = primitives.iter().filter_map(|p| counts(reader, p).ok()?);
+    counts.fold(0, |sum, [_, triangles]| sum.saturating_add(triangles))
 }
 
 /// Bytes that the system can give without swapping; where it does not say, four gibibytes.
@@ -243,6 +267,20 @@ impl Parts<'_, '_> {
             self.cache[mesh] = Some(parts);
         }
         Ok(self.cache[mesh].as_deref().expect("it was filled above"))
+    }
+
+    /// Puts a mesh into the scene. Returns the middle of its positions, in its own space.
+    fn write(&mut self, mesh: usize, world: DMat4, has_colors: bool, soup: &mut Soup) -> Result<DVec3, ImportError> {
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for part in self.of_mesh(mesh)? {
+            add(part, world, has_colors, soup);
+            soup.material_of.resize(soup.triangles.len(), part.material);
+            for p in part.positions.iter().map(|&p| DVec3::from_array(p)) {
+                (low, high) = (low.min(p), high.max(p));
+            }
+        }
+        let middle = low * 0.5 + high * 0.5;
+        Ok(if middle.is_finite() { middle } else { DVec3::ZERO })
     }
 
     fn primitive(&mut self, primitive: &Primitive, place: &str) -> Result<Option<Part>, ImportError> {

@@ -1,7 +1,7 @@
 //! The node tree of a glTF document: which mesh is drawn where, in world space. Without recursion: files are outside
 //! data, and chains may be long.
 
-use super::super::error::{ImportError, damaged};
+use super::super::error::{ImportError, Refusal, damaged, refused};
 use super::accessor::Reader;
 use super::document::{InstanceAttributes, Node};
 use glam::{DMat4, DQuat, DVec3};
@@ -30,9 +30,18 @@ pub(super) fn placed_meshes(reader: &Reader, max_count: usize) -> Result<Vec<Pla
         }
         let world = parent * local_transform(node);
         if let Some(mesh) = node.mesh {
+            let before = placed.len();
             match &node.extensions.instancing {
                 None => placed.push(Placed { mesh, world }),
-                Some(instancing) => add_instances(reader, &instancing.attributes, mesh, world, &mut placed)?,
+                Some(instancing) => add_instances(reader, &instancing.attributes, (index, mesh, world), &mut placed)?,
+            }
+            if let Some(at) = placed[before..].iter().position(|at| !at.world.is_finite()) {
+                let place = match &node.extensions.instancing {
+                    None => place(),
+                    Some(_) => format!("{}, instance {at}", place()),
+                };
+                let what = "its place is not made of finite numbers";
+                return Err(refused(Refusal::NotFinite, place, what, "remove it or export the model again"));
             }
         }
         if placed.len() > max_count {
@@ -75,7 +84,8 @@ fn local_transform(node: &Node) -> DMat4 {
 fn transform(translation: Option<[f64; 3]>, rotation: Option<[f64; 4]>, scale: Option<[f64; 3]>) -> DMat4 {
     let rotation = DQuat::from_array(rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
     let length = rotation.length();
-    let rotation = if length > 0.0 && length.is_finite() { rotation / length } else { DQuat::IDENTITY };
+    // Without a length it turns nothing; what is no number stays none, and is refused with its node.
+    let rotation = if length == 0.0 { DQuat::IDENTITY } else { rotation / length };
     DMat4::from_scale_rotation_translation(
         DVec3::from_array(scale.unwrap_or([1.0; 3])),
         rotation,
@@ -87,8 +97,7 @@ fn transform(translation: Option<[f64; 3]>, rotation: Option<[f64; 4]>, scale: O
 fn add_instances(
     reader: &Reader,
     attributes: &InstanceAttributes,
-    mesh: usize,
-    world: DMat4,
+    (node, mesh, world): (usize, usize, DMat4),
     placed: &mut Vec<Placed>,
 ) -> Result<(), ImportError> {
     let translations = attributes.translation.map(|a| reader.vectors::<3>(a, 3, 0.0)).transpose()?;
@@ -97,7 +106,9 @@ fn add_instances(
     let counts = [translations.as_ref().map(Vec::len), rotations.as_ref().map(Vec::len), scales.as_ref().map(Vec::len)];
     let count = counts.iter().flatten().copied().max().unwrap_or(0);
     if counts.iter().flatten().any(|&n| n != count) {
-        return Err(damaged(reader.name, "the attributes of EXT_mesh_gpu_instancing have different counts"));
+        let counts: Vec<String> = counts.iter().flatten().map(usize::to_string).collect();
+        let what = format!("the attributes of EXT_mesh_gpu_instancing have different counts: {}", counts.join(", "));
+        return Err(damaged(format!("{}: node {node}", reader.name), what));
     }
     placed.extend((0..count).map(|i| {
         let at = |list: &Option<Vec<[f64; 3]>>| list.as_ref().map(|l| l[i]);

@@ -84,7 +84,7 @@ fn textured(input: &Input, names: &[String], mut soup: Soup, warnings: &mut Warn
         material
     };
     let materials = names.iter().map(&mut material).collect();
-    Model { soup, materials, images: images.list }
+    Model { soup, materials, images: images.list, ..Model::default() }
 }
 
 fn read_vertices(body: &mut Body, element: &Element, wants_uvs: bool, soup: &mut Soup) -> Result<(), ImportError> {

@@ -8,7 +8,7 @@ use super::surface::Surface;
 use super::{Clusters, Outside, Stage, for_clusters};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
-use crate::progressive_buffers::model::FLAG_COLORS;
+use crate::progressive_buffers::model::{FLAG_COLORS, FLAG_INSTANCES};
 use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
 use pb_archive::ArchiveError;
@@ -43,7 +43,7 @@ pub(super) fn assemble(input: &Finished, outside: &Outside) -> Result<(BakedMode
         })
         .collect();
     let spheres: Vec<(DVec3, f64)> = bounds.iter().map(|b| (b.center.as_dvec3(), b.radius as f64)).collect();
-    let mut hierarchy = hierarchy::build(&spheres);
+    let mut hierarchy = hierarchy::build_groups(&spheres, &clusters.objects.counts);
     let mut new_of = vec![0u32; count];
     hierarchy.order.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = new as u32);
     let (neighbours, firsts) = neighbour_lists(clusters, &new_of);
@@ -95,11 +95,18 @@ pub(super) fn assemble(input: &Finished, outside: &Outside) -> Result<(BakedMode
             reserved: [0; 2],
         }
     };
+    let (objects, instances) = clusters.objects.tables(&hierarchy, grid.origin, grid.quantum);
     let (model_levels, acmr) = model_levels(&level_records, errors, levels);
     let model = BakedModel {
         maps: Vec::new(),
         tiles: Vec::new(),
-        record: model_record(surface.has_colors, triangles_in, grid, &bounds, levels),
+        record: ModelRecord {
+            flags: if surface.has_colors { FLAG_COLORS } else { 0 }
+                | if objects.is_empty() { 0 } else { FLAG_INSTANCES },
+            ..model_record(triangles_in, grid, &bounds, levels)
+        },
+        objects,
+        instances,
         clusters: (0..count).map(record).collect(),
         levels: level_records,
         neighbours,
@@ -172,7 +179,8 @@ fn model_levels(records: &[LevelRecord], errors: &[LevelErrors], levels: usize) 
     (list, acmr)
 }
 
-fn model_record(has_colors: bool, triangles_in: u64, grid: &Grid, bounds: &[Bounds], levels: usize) -> ModelRecord {
+/// But for the flags.
+fn model_record(triangles_in: u64, grid: &Grid, bounds: &[Bounds], levels: usize) -> ModelRecord {
     let (low, high) =
         bounds.iter().fold((glam::IVec3::MAX, glam::IVec3::MIN), |(lo, hi), b| (lo.min(b.low), hi.max(b.high)));
     ModelRecord {
@@ -183,7 +191,7 @@ fn model_record(has_colors: bool, triangles_in: u64, grid: &Grid, bounds: &[Boun
         levels: levels as u32,
         clusters: bounds.len() as u32,
         triangles_in,
-        flags: if has_colors { FLAG_COLORS } else { 0 },
+        flags: 0,
         reserved: [0; 5],
     }
 }

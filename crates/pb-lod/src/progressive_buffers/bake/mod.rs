@@ -14,6 +14,7 @@ pub mod checkpoints;
 mod grid;
 mod lanes;
 mod levels;
+mod objects;
 mod surface;
 mod tiles;
 
@@ -29,11 +30,12 @@ use checkpoints::{Checkpoints, Kept, NoCheckpoints, kept};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
+use objects::ObjectClusters;
 use pb_archive::{ArchiveError, Spill};
 use pb_mesh::deviation::texture_deviation;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::{Mesh, Wedge};
-use pb_mesh::segment::{Segmentation, segment};
+use pb_mesh::segment::{Segmentation, segment_objects};
 use pb_mesh::simplify::{UnisonInput, simplify};
 use pb_mesh::texture::NormalSpace;
 use pb_mesh::texture::image::Image;
@@ -306,6 +308,7 @@ fn normals(wedges: &[Wedge], positions: usize) -> Vec<Vec3> {
 /// The mesh cut into clusters, on the grid.
 struct Clusters {
     segmentation: Segmentation,
+    objects: ObjectClusters,
     cluster_of: Vec<u32>,
     fans: Fans,
     kinds: Vec<Kind>,
@@ -316,8 +319,11 @@ struct Clusters {
 impl Clusters {
     /// Cuts a surface, and puts it in the order of the clusters.
     fn new(surface: &mut Surface, mut positions: Vec<[f64; 3]>, max_triangles: usize, outside: &Outside) -> Self {
-        let mut segmentation =
-            outside.kept("segments", 0, || segment(&positions, &surface.triangles, surface.corners(), max_triangles));
+        let objects = std::mem::take(&mut surface.objects);
+        let mut segmentation = outside.kept("segments", 0, || {
+            segment_objects(&positions, &objects.of, &surface.triangles, surface.corners(), max_triangles)
+        });
+        let objects = ObjectClusters::new(&objects, &surface.triangles, &segmentation);
         surface.arrange(&mut positions, &mut segmentation);
         let triangles = surface.triangles.as_slice();
         let mut cluster_of = vec![0; triangles.len()];
@@ -330,7 +336,7 @@ impl Clusters {
         let (mut kinds, broken) = classify(triangles, &cluster_of, &fans, positions.len());
         lock_excess_neighbours(&mut kinds, &cluster_of, &fans, segmentation.len());
         let grid = grid::snap(&positions, triangles, &segmentation, &cluster_of, &fans);
-        Clusters { segmentation, cluster_of, fans, kinds, broken, grid }
+        Clusters { segmentation, objects, cluster_of, fans, kinds, broken, grid }
     }
 
     fn unison<'a>(

@@ -2,6 +2,7 @@
 //! Whatever works on one cluster and its neighbours then touches a few runs of memory, wherever the input had them.
 
 use pb_mesh::mesh::{Mesh, Texturing, Wedge};
+use pb_mesh::objects::Objects;
 use pb_mesh::segment::Segmentation;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -16,12 +17,14 @@ pub(super) struct Surface {
     pub wedges: Vec<Wedge>,
     pub has_colors: bool,
     pub texturing: Option<Texturing>,
+    /// By position, in the order of the input; nothing is left of them once the surface is cut.
+    pub objects: Objects,
 }
 
 impl Surface {
     /// Takes a mesh apart: the surface, and its positions.
     pub(super) fn new(mesh: Mesh) -> (Surface, Vec<[f64; 3]>) {
-        let Mesh { positions, wedges, triangles, has_colors, texturing } = mesh;
+        let Mesh { positions, wedges, triangles, has_colors, texturing, objects } = mesh;
         let (triangles, wedge_corners) = match wedges.len() == positions.len() {
             true => (triangles, None),
             false => {
@@ -29,7 +32,7 @@ impl Surface {
                 (triangles.par_iter().map(position).collect(), Some(triangles))
             }
         };
-        (Surface { triangles, wedge_corners, wedges, has_colors, texturing }, positions)
+        (Surface { triangles, wedge_corners, wedges, has_colors, texturing, objects }, positions)
     }
 
     /// Wedge indices of all triangles.

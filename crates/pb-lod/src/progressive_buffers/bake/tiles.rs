@@ -5,7 +5,7 @@ use super::charting::Tiles;
 use super::lanes::run_bounded;
 use super::surface::Surface;
 use super::{Clusters, Outside, Stage, TextureInput};
-use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_TEXTURES};
+use crate::progressive_buffers::model::{FLAG_CUTOUT, FLAG_INSTANCES, FLAG_TEXTURES};
 use crate::progressive_buffers::textures::{MapFormat, MapKind, MapRecord, TileRecord, chunk_mips};
 use crate::progressive_buffers::write::{BakedModel, EncodedChunk};
 use glam::IVec3;
@@ -129,7 +129,7 @@ pub(super) fn fill_tiles(
     }
     model.maps = maps.iter().map(|m| m.record).collect();
     let cut_out = input.materials.iter().any(|m| m.alpha_cutoff.is_some());
-    model.record.flags = FLAG_TEXTURES | if cut_out { FLAG_CUTOUT } else { 0 };
+    model.record.flags = model.record.flags & FLAG_INSTANCES | FLAG_TEXTURES | if cut_out { FLAG_CUTOUT } else { 0 };
     Ok(())
 }
 

@@ -143,14 +143,14 @@ impl Floors {
 
     /// The floor may take any value up to this one without a visible change.
     fn free_up_to(&self, t: &Tables, eyes: &Eyes, switch: &Switch, walk: &Walk, cluster: u32) -> f32 {
-        let visible = |c: &u32| walk.visible[*c as usize];
+        let visible = |c: &u32| walk.is_visible(*c);
         match self.ladder {
             _ if !visible(&cluster) && !t.neighbours(cluster).iter().any(visible) => f32::INFINITY,
-            Ladder::Geometry => t.lod(switch, cluster, eyes.reach(t, cluster).0),
+            Ladder::Geometry => t.lod(switch, cluster, walk.reach(t, eyes, cluster)),
             // A coarser detail than asked for shows in textures only by their floors.
             Ladder::Texture => {
                 let sharp = Switch { scale: switch.scale.max(1.0), ..*switch };
-                t.texture_lod(&sharp, cluster, eyes.reach(t, cluster).0)
+                t.texture_lod(&sharp, cluster, walk.reach(t, eyes, cluster))
             }
         }
     }

@@ -3,10 +3,12 @@
 use glam::DVec3;
 
 use super::super::display::lod_from;
+use super::super::instances::Instances;
 use super::super::layout::{ClusterRecord, LevelRecord, ModelRecord, NodeRecord};
 use super::super::model::Model;
 use super::super::switch::{Switch, increasing, min_step};
 use super::super::textures::{Textures, TileRecord};
+use super::crowd::Crowd;
 use crate::plan::ChunkId;
 
 /// The archive's tables as selection reads them once; see [`super::super::layout`] for each.
@@ -24,6 +26,8 @@ pub struct SelectTables<'a> {
     pub nodes: &'a [NodeRecord],
     /// Maps and tiles, where the model has textures.
     pub textures: Option<Textures<'a>>,
+    /// Objects and instances, where the model has them.
+    pub instances: Option<Instances<'a>>,
     /// Bytes of each chunk in VRAM, `cluster * levels + level`, in the unit of the VRAM budget; those of the textures,
     /// in the unit of theirs, follow where there are any; `u64::MAX` for those that never fit and are not to be wanted.
     pub chunk_bytes: &'a [u64],
@@ -39,6 +43,7 @@ impl<'a> SelectTables<'a> {
             neighbours: model.neighbour_entries(),
             nodes: model.nodes(),
             textures: model.textures(),
+            instances: model.instances(),
             chunk_bytes,
         }
     }
@@ -136,6 +141,8 @@ pub(super) struct Tables {
     /// First neighbour of each cluster, and the end of the last.
     neighbours_first: Vec<u32>,
     neighbours: Vec<u32>,
+    /// Where the model has instances.
+    pub crowd: Option<Crowd>,
 }
 
 impl Tables {
@@ -165,6 +172,7 @@ impl Tables {
             coarse_first: vec![0],
             neighbours_first: vec![0],
             neighbours: Vec::with_capacity(t.neighbours.len()),
+            crowd: None,
         };
         for (c, cluster) in t.clusters.iter().enumerate() {
             let rows = &t.levels[c * levels..][..levels];
@@ -182,6 +190,7 @@ impl Tables {
             }
         }
         out.nodes = out.reduce(t.nodes);
+        out.crowd = t.instances.map(|instances| Crowd::new(&instances, &out.nodes));
         let finest = |ladder, c| if ladder == Ladder::Texture { out.tiles[c as usize].finest } else { 0 };
         let all = |ladder| (0..count as u32).map(move |c| (c, ladder));
         let bytes = |(c, ladder)| out.bytes_above_coarsest(ladder, c, finest(ladder, c));

@@ -122,7 +122,7 @@ fn draws_finest_near_and_coarsest_far() {
     let far = bench.select(&[view(DVec3::new(1e6, 0.0, 0.0))], f32::INFINITY);
     let all: u32 = bench.torus.levels.iter().skip(3).step_by(4).map(|l| l.triangles * 3).sum();
     assert_eq!((far.draws.len(), far.coarse.len()), (0, 1), "one range for the whole model");
-    assert_eq!(far.coarse[0], 0..all);
+    assert_eq!(far.coarse[0].indices, 0..all);
     assert_eq!(far.triangles, all as u64 / 3);
     assert!(far.wants.is_empty() && far.settled && far.error_px < 1.0);
 }

@@ -1,11 +1,16 @@
 //! The walk over the coarse buffer hierarchy: frustum culling, and subtrees that are all coarsest taken as one
 //! range of the coarse buffer without a visit to their leaves (paper section 3.3).
+//!
+//! Where there are instances, each object's subtree is walked once for each of its instances that is near or in sight, with
+//! the eyes moved to where they are for the object.
 
 use std::ops::Range;
 
 use glam::{DVec3, Vec4Swizzles};
 
+use super::super::instances::Placement;
 use super::super::switch::Switch;
+use super::crowd::{Block, Crowd, Object};
 use super::tables::{Node, Sphere, Tables};
 use crate::plan::{Detail, View};
 
@@ -39,6 +44,8 @@ pub(super) enum Scope {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub cluster: u32,
+    /// Of its object; 0 where there are none.
+    pub instance: u32,
     pub place: Place,
     /// Touches a frustum, or a cluster that does: its floor moves triangles that are seen.
     pub shows: bool,
@@ -55,15 +62,21 @@ pub(super) struct Seen {
 pub(super) struct Walk {
     /// Clusters that are not certainly coarsest: in tree order, neighbours last.
     pub seen: Vec<Seen>,
-    /// Runs of visible clusters that are certainly coarsest.
-    pub coarse: Vec<Range<u32>>,
-    /// Per cluster: touches a frustum.
-    pub visible: Vec<bool>,
+    /// Runs of visible clusters that are certainly coarsest, by instance.
+    pub coarse: Vec<(u32, Range<u32>)>,
+    /// Per cluster: the last walk over a tree in which it touches a frustum; 0 where none does.
+    visible: Vec<u32>,
+    /// Number of the walk over a tree that is under way, from 1.
+    turn: u32,
+    /// Instances that touch a frustum, ascending.
+    in_sight: Vec<u32>,
     /// Bound of the projected error of the coarse runs, pixels.
     pub coarse_error_px: f32,
     /// Per cluster: found as a neighbour; all false between walks.
     beside: Vec<bool>,
     stack: Vec<Visit>,
+    /// The eyes as an instance's object has them.
+    local: Eyes,
 }
 
 /// A node that is still to be visited.
@@ -76,6 +89,7 @@ struct Visit {
     eyes: u64,
 }
 
+#[derive(Clone)]
 struct Eye {
     position: DVec3,
     /// Unit normals and offsets, relative to the eye.
@@ -86,6 +100,7 @@ struct Eye {
 }
 
 /// The views of a frame, prepared.
+#[derive(Default)]
 pub(super) struct Eyes {
     eyes: Vec<Eye>,
     quantum: f64,
@@ -93,6 +108,8 @@ pub(super) struct Eyes {
     alike: bool,
     /// Smallest of the eyes' units.
     unit: f64,
+    /// Reaches are distances.
+    bands: bool,
 }
 
 impl Eyes {
@@ -115,7 +132,41 @@ impl Eyes {
         let eyes: Vec<Eye> = views.iter().map(eye).collect();
         let alike = eyes.windows(2).all(|w| w[0].pixel_angle == w[1].pixel_angle);
         let unit = eyes.iter().map(|e| e.unit).fold(f64::INFINITY, f64::min);
-        Eyes { eyes, quantum: t.quantum, alike, unit }
+        Eyes { eyes, quantum: t.quantum, alike, unit, bands: matches!(detail, Detail::Bands { .. }) }
+    }
+
+    /// What multiplies a reach in the space of an object to make one that switch distances can be compared with: a
+    /// projected error is the same in both, a distance is not.
+    fn stretch(&self, placement: &Placement) -> f64 {
+        if self.bands { placement.scale } else { 1.0 }
+    }
+
+    /// The same eyes seen from an object that stands somewhere: all in its units and axes.
+    fn enter(&mut self, placement: &Placement, world: &Eyes) {
+        let stretch = world.stretch(placement);
+        self.eyes.truncate(world.eyes.len());
+        let known = self.eyes.len();
+        self.eyes.extend_from_slice(&world.eyes[known..]);
+        let turn = placement.rotation.conjugate();
+        for (local, eye) in self.eyes.iter_mut().zip(&world.eyes) {
+            local.position = placement.point_of(eye.position);
+            local.planes.clear();
+            local.planes.extend(eye.planes.iter().map(|&(n, w)| (turn * n, w / placement.scale)));
+            (local.pixel_angle, local.unit) = (eye.pixel_angle, eye.unit * stretch);
+        }
+        (self.quantum, self.alike) = (world.quantum, world.alike);
+        (self.unit, self.bands) = (world.unit * stretch, world.bands);
+    }
+
+    /// Reach and pixel size of a sphere of an object that stands somewhere, as [`Eyes::enter`] would have them.
+    pub fn reach_at(&self, placement: &Placement, sphere: &Sphere) -> (f32, f32) {
+        let stretch = self.stretch(placement) as f32;
+        let each = self.eyes.iter().map(|eye| {
+            let squared = (sphere.center - placement.point_of(eye.position)).length_squared();
+            self.seen_at(eye, sphere, squared)
+        });
+        let (reach, pixel) = each.fold((f32::INFINITY, f32::INFINITY), |a, b| (a.0.min(b.0), a.1.min(b.1)));
+        (reach * stretch, pixel)
     }
 
     /// Reach and pixel size of a sphere's nearest point: the smallest over the views. A reach is the distance
@@ -195,21 +246,98 @@ impl Eyes {
     }
 }
 
+/// What a walk is for: the switches of geometry and textures, and what is looked for.
+struct Search<'a> {
+    t: &'a Tables,
+    switches: &'a [Switch; 2],
+    scope: Scope,
+    /// Part of a distance at which all that is coarsest is left alone.
+    margin: f32,
+}
+
+impl Search<'_> {
+    /// Whether all clusters below a node are coarsest from this reach on.
+    fn coarse(&self, node: &Node, reach: f32) -> bool {
+        let [switch, textures] = self.switches;
+        let farthest = switch.bands.as_ref().map(|bands| bands[self.t.levels as usize - 1]);
+        let reach = reach * self.margin;
+        reach >= farthest.unwrap_or(node.error * switch.scale) && self.t.textures_coarse(textures, node, reach)
+    }
+}
+
 impl Walk {
     /// Walks the tree. Subtrees that stay coarsest are not entered, except to cull their invisible parts; what lies
     /// inside a frustum as a whole is not culled again.
     /// The switches are those of geometry and textures.
-    pub fn go(&mut self, t: &Tables, eyes: &Eyes, [switch, textures]: &[Switch; 2], scope: Scope) {
+    pub fn go(&mut self, t: &Tables, eyes: &Eyes, switches: &[Switch; 2], scope: Scope) {
         self.seen.clear();
         self.coarse.clear();
         self.visible.clear();
-        self.visible.resize(t.clusters(), false);
+        self.visible.resize(t.clusters(), 0);
+        self.turn = 0;
+        self.in_sight.clear();
         self.coarse_error_px = 0.0;
         let margin = if let Scope::Around(margin) = scope { margin } else { 1.0 };
-        let farthest = switch.bands.as_ref().map(|bands| bands[t.levels as usize - 1]);
-        if !t.nodes.is_empty() {
-            self.stack.push(Visit { node: 0, whole: false, eyes: u64::MAX });
+        let search = Search { t, switches, scope, margin };
+        match &t.crowd {
+            Some(crowd) => {
+                crowd.objects.iter().for_each(|object| self.walk_object(&search, eyes, crowd, object));
+            }
+            None if t.nodes.is_empty() => {}
+            None => self.walk_tree(&search, eyes, 0, 0),
         }
+    }
+
+    /// Looks at all instances of an object.
+    fn walk_object(&mut self, search: &Search, eyes: &Eyes, crowd: &Crowd, object: &Object) {
+        let node = &search.t.nodes[object.node as usize];
+        for Block { sphere, scale, instances } in crowd.blocks(object) {
+            let (place, _) = place_of(eyes, sphere, search.scope);
+            if place < Place::Visible {
+                // As the largest instance would have it, with its nearest point where the block's is.
+                let reach = eyes.reach_of(sphere).0 / if eyes.bands { 1.0 } else { *scale as f32 };
+                if search.scope == Scope::Drawn || search.coarse(node, reach) {
+                    continue;
+                }
+            }
+            instances.clone().for_each(|instance| self.walk_instance(search, eyes, crowd, (object.node, instance)));
+        }
+    }
+
+    /// One instance: as a whole, where that says enough, else its tree.
+    fn walk_instance(&mut self, search: &Search, eyes: &Eyes, crowd: &Crowd, (root, instance): (u32, u32)) {
+        let node = &search.t.nodes[root as usize];
+        let placement = crowd.placement(instance);
+        let (place, whole) = place_of(eyes, &crowd.sphere(&node.sphere, instance), search.scope);
+        if place < Place::Visible && search.scope == Scope::Drawn {
+            return;
+        }
+        let (reach, pixel) = eyes.reach_at(placement, &node.sphere);
+        let coarse = search.coarse(node, reach);
+        if place == Place::Visible {
+            self.in_sight.push(instance);
+        }
+        match coarse {
+            true if place < Place::Visible => {}
+            true if whole => {
+                self.turn += 1;
+                self.take_coarse(eyes, node, pixel, instance);
+            }
+            _ => {
+                let mut local = std::mem::take(&mut self.local);
+                local.enter(placement, eyes);
+                self.walk_tree(search, &local, root, instance);
+                self.local = local;
+            }
+        }
+    }
+
+    /// Walks one tree, with the eyes in its space.
+    fn walk_tree(&mut self, search: &Search, eyes: &Eyes, root: u32, instance: u32) {
+        let &Search { t, scope, .. } = search;
+        self.turn += 1;
+        let first = self.seen.len();
+        self.stack.push(Visit { node: root, whole: false, eyes: u64::MAX });
         while let Some(visit) = self.stack.pop() {
             let node = &t.nodes[visit.node as usize];
             let (place, visit) = look(eyes, node, visit, scope);
@@ -217,42 +345,47 @@ impl Walk {
                 continue;
             }
             let (reach, pixel) = eyes.reach_of(&node.sphere);
-            let farthest_switch = farthest.unwrap_or(node.error * switch.scale);
-            let coarse = reach * margin >= farthest_switch && t.textures_coarse(textures, node, reach * margin);
-            let clusters = node.first..node.first + node.count;
+            let coarse = search.coarse(node, reach);
             match node.children {
                 _ if coarse && place < Place::Visible => {}
                 Some(children) if !(coarse && visit.whole) => {
                     self.stack.extend(children.iter().rev().map(|&node| Visit { node, ..visit }));
                 }
-                _ if coarse => {
-                    self.visible[clusters.start as usize..clusters.end as usize].fill(true);
-                    self.coarse_error_px = self.coarse_error_px.max(eyes.error_px(node.error, pixel));
-                    self.coarse.push(clusters);
+                _ if coarse => self.take_coarse(eyes, node, pixel, instance),
+                _ => {
+                    let clusters = node.first..node.first + node.count;
+                    clusters.for_each(|c| self.see(t, eyes, (c, instance), place, (reach, pixel)));
                 }
-                _ => clusters.for_each(|c| self.see(t, eyes, c, place, (reach, pixel))),
             }
         }
         match scope {
-            Scope::Drawn => self.see_neighbours(t, eyes),
+            Scope::Drawn => self.see_neighbours(t, eyes, first, instance),
             Scope::Around(_) => {
-                let Walk { seen, visible, .. } = self;
-                for s in seen.iter_mut().filter(|s| !s.shows) {
-                    s.shows = t.neighbours(s.cluster).iter().any(|&c| visible[c as usize]);
+                let Walk { seen, visible, turn, .. } = self;
+                for s in seen[first..].iter_mut().filter(|s| !s.shows) {
+                    s.shows = t.neighbours(s.cluster).iter().any(|&c| visible[c as usize] == *turn);
                 }
             }
         }
     }
 
+    /// A node that is visible and certainly coarsest.
+    fn take_coarse(&mut self, eyes: &Eyes, node: &Node, pixel: f32, instance: u32) {
+        let clusters = node.first..node.first + node.count;
+        self.visible[clusters.start as usize..clusters.end as usize].fill(self.turn);
+        self.coarse_error_px = self.coarse_error_px.max(eyes.error_px(node.error, pixel));
+        self.coarse.push((instance, clusters));
+    }
+
     /// Runs need no look at their neighbours: what lies inside a frustum as a whole has its borders there, and so touches
     /// no cluster that is out of sight.
-    fn see_neighbours(&mut self, t: &Tables, eyes: &Eyes) {
+    fn see_neighbours(&mut self, t: &Tables, eyes: &Eyes, first: usize, instance: u32) {
         let visible = self.seen.len();
         self.beside.resize(t.clusters(), false);
-        for i in 0..visible {
+        for i in first..visible {
             for &c in t.neighbours(self.seen[i].cluster) {
-                if !self.visible[c as usize] && !std::mem::replace(&mut self.beside[c as usize], true) {
-                    self.see(t, eyes, c, Place::Elsewhere, eyes.reach(t, c));
+                if self.visible[c as usize] != self.turn && !std::mem::replace(&mut self.beside[c as usize], true) {
+                    self.see(t, eyes, (c, instance), Place::Elsewhere, eyes.reach(t, c));
                     self.seen.last_mut().expect("it was just pushed").shows = true;
                 }
             }
@@ -260,11 +393,45 @@ impl Walk {
         self.seen[visible..].iter().for_each(|s| self.beside[s.cluster as usize] = false);
     }
 
-    fn see(&mut self, t: &Tables, eyes: &Eyes, cluster: u32, place: Place, (reach, pixel): (f32, f32)) {
+    fn see(
+        &mut self,
+        t: &Tables,
+        eyes: &Eyes,
+        (cluster, instance): (u32, u32),
+        place: Place,
+        (reach, pixel): (f32, f32),
+    ) {
         let shows = place == Place::Visible;
-        self.visible[cluster as usize] = shows;
+        if shows {
+            self.visible[cluster as usize] = self.turn;
+        }
         let girth = (t.sphere(cluster).radius * eyes.unit) as f32;
-        self.seen.push(Seen { cluster, place, shows, reach, girth, pixel });
+        self.seen.push(Seen { cluster, instance, place, shows, reach, girth, pixel });
+    }
+
+    /// Whether a cluster touches a frustum, in any instance.
+    pub fn is_visible(&self, cluster: u32) -> bool {
+        self.visible[cluster as usize] != 0
+    }
+
+    /// Reach of a cluster: the smallest over the views and over the instances in sight. Infinite where none is.
+    pub fn reach(&self, t: &Tables, eyes: &Eyes, cluster: u32) -> f32 {
+        let Some(crowd) = &t.crowd else { return eyes.reach(t, cluster).0 };
+        let instances = crowd.instances_of(cluster);
+        let first = self.in_sight.partition_point(|&i| i < instances.start);
+        let own = self.in_sight[first..].iter().take_while(|i| instances.contains(i));
+        own.map(|&i| eyes.reach_at(crowd.placement(i), t.sphere(cluster)).0).fold(f32::INFINITY, f32::min)
+    }
+}
+
+/// Where a sphere is for some eyes, as far as the scope asks; the flag says that it is in one frustum as a whole.
+fn place_of(eyes: &Eyes, sphere: &Sphere, scope: Scope) -> (Place, bool) {
+    match scope {
+        Scope::Around(_) => eyes.place(sphere),
+        Scope::Drawn => {
+            let (by, whole) = eyes.seen_by(sphere, u64::MAX, false);
+            (if by == 0 { Place::Elsewhere } else { Place::Visible }, whole)
+        }
     }
 }
 
