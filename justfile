@@ -16,6 +16,10 @@ demo:
 bench-bake *MESHES:
     tools/bench-bake {{MESHES}}
 
+# triangles per second from an archive's chunks to arrays for the adapter, on one core
+bench-decode *ARCHIVES:
+    tools/bench-decode {{ARCHIVES}}
+
 # memory of bakes of generated meshes of 16 and 64 million triangles under bounds; or of the sizes given, in millions
 bench-memory *MILLIONS:
     tools/bench-memory {{MILLIONS}}

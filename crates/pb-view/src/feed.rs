@@ -4,7 +4,7 @@
 //! own time is the clock. Must never: let the wall clock decide when a chunk arrives on virtual time.
 
 use pb_lod::plan::{ChunkId, Want};
-use pb_lod::progressive_buffers::codec::Chunk;
+use pb_lod::progressive_buffers::codec::{Chunk, Decoder};
 use pb_lod::progressive_buffers::model::{Model, ModelError};
 use pb_render::ChunkData;
 use pb_stream::disk::{Disk, DiskModel};
@@ -12,6 +12,7 @@ use pb_stream::loader::{LoadResult, LoadStats, Loader, Source, Threads};
 use pb_stream::merge::Extent;
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,6 +26,11 @@ const MAX_DECODERS: usize = 8;
 /// need.
 #[cfg(target_os = "linux")]
 const DECODER_NICENESS: i32 = 5;
+
+thread_local! {
+    /// Of each thread that decodes: it asks for memory for what a chunk becomes and for nothing else.
+    static DECODER: RefCell<Decoder> = RefCell::default();
+}
 
 /// A chunk in memory.
 #[derive(Clone)]
@@ -110,7 +116,13 @@ impl Source for ArchiveSource {
         let chunk = ChunkId(chunk.0);
         let loaded = match self.model.is_texture(chunk) {
             true => self.model.check_texture(chunk, bytes).map(|()| Loaded::Texture(bytes.to_vec())),
-            false => self.model.decode(chunk, bytes).map(Loaded::Geometry),
+            false => {
+                let mut decoded = Chunk::default();
+                let decode = |decoder: &RefCell<Decoder>| {
+                    self.model.decode_into(chunk, bytes, &mut decoder.borrow_mut(), &mut decoded)
+                };
+                DECODER.with(decode).map(|()| Loaded::Geometry(decoded))
+            }
         };
         loaded.map_err(|e| e.to_string())
     }

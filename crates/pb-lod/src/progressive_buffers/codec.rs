@@ -7,6 +7,8 @@
 //!
 //! Must never: trust a byte. Whatever `decode_chunk` accepts has all indices and parents in range.
 
+mod unpack;
+
 use super::layout::Vertex;
 use bytemuck::{Pod, Zeroable};
 
@@ -136,15 +138,53 @@ pub fn encode_chunk(chunk: &Chunk) -> Vec<u8> {
 }
 
 /// Unpacks and checks a payload from outside.
+///
+/// # Errors
+/// See [`CodecError`].
 pub fn decode_chunk(bytes: &[u8], shape: ChunkShape) -> Result<Chunk, CodecError> {
-    let (vertices, indices) = split(bytes).ok_or(CodecError::Lengths { bytes: bytes.len() })?;
-    let chunk = Chunk {
-        first_vertex: shape.first_vertex,
-        vertices: decode_vertices(vertices, shape)?,
-        indices: decode_indices(indices, shape)?,
-    };
-    check(&chunk)?;
+    let mut chunk = Chunk::default();
+    Decoder::default().decode(bytes, shape, &mut chunk)?;
     Ok(chunk)
+}
+
+/// Decodes chunk after chunk. Once it, and the chunks that it decodes into, have had the largest, no memory is asked for.
+#[derive(Default)]
+pub struct Decoder {
+    stored: Vec<Stored>,
+}
+
+impl Decoder {
+    /// Unpacks and checks a payload from outside into `chunk`, whose vectors keep their room. After an error its content is
+    /// undefined.
+    ///
+    /// # Errors
+    /// See [`CodecError`].
+    pub fn decode(&mut self, bytes: &[u8], shape: ChunkShape, chunk: &mut Chunk) -> Result<(), CodecError> {
+        let (vertices, indices) = split(bytes).ok_or(CodecError::Lengths { bytes: bytes.len() })?;
+        chunk.first_vertex = shape.first_vertex;
+        self.decode_vertices(vertices, shape, &mut chunk.vertices)?;
+        decode_indices(indices, shape, &mut chunk.indices)?;
+        check(chunk)
+    }
+
+    fn decode_vertices(&mut self, bytes: &[u8], shape: ChunkShape, out: &mut Vec<Vertex>) -> Result<(), CodecError> {
+        let count = shape.end_vertex.checked_sub(shape.first_vertex).ok_or(CodecError::Vertices)?;
+        if shape.end_vertex > MAX_VERTICES || (count == 0) != bytes.is_empty() {
+            return Err(CodecError::Vertices);
+        }
+        out.clear();
+        if count > 0 {
+            self.stored.resize(count as usize, Stored::default());
+            if !unpack::vertices(bytes, &mut self.stored) {
+                return Err(CodecError::Vertices);
+            }
+            match shape.first_vertex {
+                0 => out.extend(self.stored.iter().enumerate().map(|(i, s)| restore(s, i as u16))),
+                _ => out.extend(self.stored.iter().map(|s| restore(s, s.parent))),
+            }
+        }
+        Ok(())
+    }
 }
 
 fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
@@ -154,39 +194,26 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     (indices.len() == length(4)).then_some((vertices, indices))
 }
 
-fn decode_vertices(bytes: &[u8], shape: ChunkShape) -> Result<Vec<Vertex>, CodecError> {
-    let count = shape.end_vertex.checked_sub(shape.first_vertex).ok_or(CodecError::Vertices)?;
-    if shape.end_vertex > MAX_VERTICES || (count == 0) != bytes.is_empty() {
-        return Err(CodecError::Vertices);
-    }
-    if count == 0 {
-        return Ok(Vec::new());
-    }
-    let stored: Vec<Stored> = meshopt::decode_vertex_buffer(bytes, count as usize).map_err(|_| CodecError::Vertices)?;
-    Ok(stored.iter().enumerate().map(|(i, s)| restore(s, i as u32, shape)).collect())
-}
-
-fn decode_indices(bytes: &[u8], shape: ChunkShape) -> Result<Vec<u16>, CodecError> {
+fn decode_indices(bytes: &[u8], shape: ChunkShape, out: &mut Vec<u16>) -> Result<(), CodecError> {
     // The codec spends at least one byte on a triangle, so a short payload cannot ask for much memory.
     let count = shape.triangles as usize;
     if shape.triangles > MAX_TRIANGLES || count > bytes.len() || (count == 0) != bytes.is_empty() {
         return Err(CodecError::Indices);
     }
-    if count == 0 {
-        return Ok(Vec::new());
+    out.resize(count * 3, 0);
+    if count > 0 && !unpack::indices(bytes, out) {
+        return Err(CodecError::Indices);
     }
-    let mut indices: Vec<u16> = meshopt::decode_index_buffer(bytes, count * 3).map_err(|_| CodecError::Indices)?;
-    let new = shape.end_vertex - shape.first_vertex;
-    for i in &mut indices {
-        let index = *i as u32;
-        // The inverse of `rotate`; values past the end stay there and are refused by `check`.
-        *i = match index {
-            i if i < new => (i + shape.first_vertex) as u16,
-            i if i < shape.end_vertex => (i - new) as u16,
-            i => i as u16,
-        };
+    // The inverse of `rotate`, without a branch; values past the end stay there and are refused by `check`.
+    let (first, end) = (shape.first_vertex as u16, shape.end_vertex as u16);
+    let new = end - first;
+    for i in out {
+        let own = i.wrapping_add(first);
+        let coarser = i.wrapping_sub(new);
+        let inside = if *i < new { own } else { coarser };
+        *i = if *i < end { inside } else { *i };
     }
-    Ok(indices)
+    Ok(())
 }
 
 /// Own vertices `[n_{i+1}, n_i)` first, then the coarser ones.
@@ -207,10 +234,10 @@ fn store(v: &Vertex, shape: ChunkShape) -> Stored {
     }
 }
 
-fn restore(s: &Stored, place: u32, shape: ChunkShape) -> Vertex {
+fn restore(s: &Stored, parent: u16) -> Vertex {
     Vertex {
         offset: s.offset,
-        parent: if shape.first_vertex == 0 { place as u16 } else { s.parent },
+        parent,
         normal_slot: (s.normal[0] & 0xfff) as u32 | ((s.normal[1] & 0xfff) as u32) << 12 | s.slot << 24,
         color: s.color,
     }
@@ -219,8 +246,14 @@ fn restore(s: &Stored, place: u32, shape: ChunkShape) -> Vertex {
 /// Indices below `n_i`; parents below `n_{i+1}`, or the vertex itself at the coarsest level (I3).
 fn check(chunk: &Chunk) -> Result<(), CodecError> {
     let shape = chunk.shape();
-    if let Some(place) = chunk.indices.iter().position(|&i| i as u32 >= shape.end_vertex) {
+    let most = chunk.indices.iter().copied().max();
+    if most.is_some_and(|most| u32::from(most) >= shape.end_vertex) {
+        let place = chunk.indices.iter().position(|&i| u32::from(i) >= shape.end_vertex).expect("the largest is one");
         return Err(CodecError::Index { place, index: chunk.indices[place], vertices: shape.end_vertex });
+    }
+    let most = chunk.vertices.iter().map(|v| v.parent).max();
+    if shape.first_vertex > 0 && most.is_none_or(|most| u32::from(most) < shape.first_vertex) {
+        return Ok(());
     }
     for (vertex, v) in (shape.first_vertex..).zip(&chunk.vertices) {
         let fits = match shape.first_vertex {

@@ -6,7 +6,7 @@
 //!
 //! Must never: panic on any file; change one.
 
-use super::codec::{Chunk, ChunkShape, CodecError, decode_chunk};
+use super::codec::{Chunk, ChunkShape, CodecError, Decoder};
 use super::instances::{INSTANCES, InstanceRecord, Instances, OBJECTS, ObjectRecord, Placement};
 use super::layout::*;
 use super::textures::{MAPS, MapRecord, TILES, Textures, TileRecord};
@@ -356,32 +356,59 @@ impl Model {
     /// Reads, checks and decodes a chunk of geometry. May be called from several threads at once.
     pub fn read_chunk(&self, chunk: ChunkId) -> Result<Chunk, ModelError> {
         let bytes = self.archive.chunk(chunk.0)?;
-        self.decode_checked(chunk, &bytes)
+        let mut decoded = Chunk::default();
+        self.decode_checked(chunk, &bytes, &mut Decoder::default(), &mut decoded)?;
+        Ok(decoded)
     }
 
     /// Checks and decodes the bytes of a chunk of geometry that were read from its [`extent`](Model::extent).
     pub fn decode(&self, chunk: ChunkId, bytes: &[u8]) -> Result<Chunk, ModelError> {
-        self.archive.check_chunk(chunk.0, bytes)?;
-        self.decode_checked(chunk, bytes)
+        let mut decoded = Chunk::default();
+        self.decode_into(chunk, bytes, &mut Decoder::default(), &mut decoded)?;
+        Ok(decoded)
     }
 
-    fn decode_checked(&self, chunk: ChunkId, bytes: &[u8]) -> Result<Chunk, ModelError> {
+    /// The same into a chunk that is there already; see [`Decoder`].
+    pub fn decode_into(
+        &self,
+        chunk: ChunkId,
+        bytes: &[u8],
+        decoder: &mut Decoder,
+        out: &mut Chunk,
+    ) -> Result<(), ModelError> {
+        self.archive.check_chunk(chunk.0, bytes)?;
+        self.decode_checked(chunk, bytes, decoder, out)
+    }
+
+    fn decode_checked(
+        &self,
+        chunk: ChunkId,
+        bytes: &[u8],
+        decoder: &mut Decoder,
+        out: &mut Chunk,
+    ) -> Result<(), ModelError> {
         let (cluster, _) = self.chunk_place(chunk);
         let fail = |fault| self.chunk_error(chunk, fault);
-        let decoded = decode_chunk(bytes, self.shape(chunk)).map_err(|e| fail(e.into()))?;
-        self.check_vertices(cluster, &decoded).map_err(fail)?;
-        Ok(decoded)
+        decoder.decode(bytes, self.shape(chunk), out).map_err(|e| fail(e.into()))?;
+        self.check_vertices(cluster, out).map_err(fail)
     }
 
     /// Positions inside the model's bounds, slots inside the neighbour list.
     fn check_vertices(&self, cluster: u32, chunk: &Chunk) -> Result<(), ChunkFault> {
         let record = &self.clusters()[cluster as usize];
         let (low, high) = (self.record.bounds_min, self.record.bounds_max);
+        let grid = |k: usize, offset: u16| i64::from(record.origin[k]) + (i64::from(offset) << record.shift);
+        let range = |k: usize| i64::from(low[k])..=i64::from(high[k]);
+        // Nearly always the corner, the largest offsets and the largest slot say that all are fine.
+        let most = chunk.vertices.iter().fold(([0; 3], 0), |(offset, slot): ([u16; 3], u32), v| {
+            (std::array::from_fn(|k| offset[k].max(v.offset[k])), slot.max(v.normal_slot))
+        });
+        let fine = |k: usize| range(k).contains(&grid(k, 0)) && range(k).contains(&grid(k, most.0[k]));
+        if (0..3).all(fine) && most.1 >> 24 <= record.neighbours_count {
+            return Ok(());
+        }
         for (vertex, v) in (chunk.first_vertex..).zip(&chunk.vertices) {
-            let inside = (0..3).all(|k| {
-                let grid = record.origin[k] as i64 + ((v.offset[k] as i64) << record.shift);
-                (low[k] as i64..=high[k] as i64).contains(&grid)
-            });
+            let inside = (0..3).all(|k| range(k).contains(&grid(k, v.offset[k])));
             if !inside {
                 return Err(ChunkFault::Bounds { vertex });
             }
