@@ -76,10 +76,10 @@ impl InstanceRecord {
     /// Why it is no instance.
     fn fault(&self) -> Option<&'static str> {
         let squares: f64 = self.rotation.iter().map(|x| x * x).sum();
-        let far = self.translation.iter().any(|x| !(x.abs() <= MAX_DISTANCE));
+        let far = self.translation.iter().any(|x| !(-MAX_DISTANCE..=MAX_DISTANCE).contains(x));
         match () {
-            _ if !((squares - 1.0).abs() <= 1e-9) => Some("its rotation is no unit quaternion"),
-            _ if !(self.scale >= MIN_SCALE && self.scale <= 1.0 / MIN_SCALE) => Some("its scale is not 1e-9 to 1e9"),
+            _ if !(-1e-9..=1e-9).contains(&(squares - 1.0)) => Some("its rotation is no unit quaternion"),
+            _ if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&self.scale) => Some("its scale is not 1e-9 to 1e9"),
             _ if far => Some("its place is beyond 1e30"),
             _ => None,
         }
