@@ -78,10 +78,9 @@ impl FourNearest {
 /// [`Facet::closest`] for four triangles and as many points, each from its triangle's first corner. The same numbers, bit
 /// by bit, without a branch: each case of the scalar rule is a mask, and the first that holds is laid over the others.
 pub(crate) fn closest_of_four(facets: [&Facet; 4], points: [Vec3; 4]) -> FourNearest {
-    let lanes = |of: &dyn Fn(usize) -> f32| Vec4::new(of(0), of(1), of(2), of(3));
-    let vectors = |of: &dyn Fn(usize) -> Vec3| [0, 1, 2].map(|k| lanes(&|l| of(l)[k]));
-    let (ab, ac, p) = (vectors(&|l| facets[l].ab), vectors(&|l| facets[l].ac), vectors(&|l| points[l]));
-    let [bb, bc, cc] = [0, 1, 2].map(|k| lanes(&|l| facets[l].dots[k]));
+    let (ab, ac) = (lanes(facets.map(|f| f.ab)), lanes(facets.map(|f| f.ac)));
+    let [bb, bc, cc] = lanes(facets.map(|f| Vec3::from_array(f.dots)));
+    let p = lanes(points);
     let dot = |u: [Vec4; 3], v: [Vec4; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
     let (zero, one, tiny) = (Vec4::ZERO, Vec4::ONE, Vec4::splat(f32::MIN_POSITIVE));
     let (d1, d2) = (dot(ab, p), dot(ac, p));
@@ -115,6 +114,12 @@ pub(crate) fn closest_of_four(facets: [&Facet; 4], points: [Vec3; 4]) -> FourNea
     let offset = [0, 1, 2].map(|k| Vec4::select(only_bc, ab[k] + (ac[k] - ab[k]) * along_bc, ab[k] * s + ac[k] * t));
     let away = [0, 1, 2].map(|k| offset[k] - p[k]);
     FourNearest { offset, corners, squares: dot(away, away) }
+}
+
+/// Four vectors as their coordinates.
+fn lanes(v: [Vec3; 4]) -> [Vec4; 3] {
+    let [a, b, c, d] = v;
+    [Vec4::new(a.x, b.x, c.x, d.x), Vec4::new(a.y, b.y, c.y, d.y), Vec4::new(a.z, b.z, c.z, d.z)]
 }
 
 pub(crate) fn closest_on_segment(p: Vec3, a: Vec3, b: Vec3) -> Vec3 {

@@ -3,6 +3,7 @@
 //!
 //! Counts only; what to do about a non-manifold place is decided by whoever simplifies.
 
+use crate::topology::group;
 use rayon::prelude::*;
 use std::ops::AddAssign;
 
@@ -15,25 +16,22 @@ pub struct Corners {
     offsets: Vec<u32>,
     /// Ascending within a vertex.
     corners: Vec<u32>,
+    /// Vertices whose triangles do not form one closed disc, ascending: borders and whatever is broken.
+    rough: Vec<u32>,
 }
 
 impl Corners {
     /// Takes triangles with indices below `vertex_count`, at most `u32::MAX / 3` of them.
     pub fn new(triangles: &[[u32; 3]], vertex_count: usize) -> Corners {
         assert!(triangles.len() <= (u32::MAX / 3) as usize, "corner indices are 32 bits wide");
-        let mut offsets = vec![0u32; vertex_count + 1];
-        triangles.as_flattened().iter().for_each(|&v| offsets[v as usize + 1] += 1);
-        for v in 0..vertex_count {
-            offsets[v + 1] += offsets[v];
-        }
-        let mut corners = vec![0u32; 3 * triangles.len()];
-        let mut cursor = offsets.clone();
-        for (corner, &v) in triangles.as_flattened().iter().enumerate() {
-            let slot = &mut cursor[v as usize];
-            corners[*slot as usize] = corner as u32;
-            *slot += 1;
-        }
-        Corners { offsets, corners }
+        let (offsets, corners) = group(vertex_count, triangles.as_flattened().as_chunks::<1>().0);
+        let mut all = Corners { offsets, corners, rough: Vec::new() };
+        let rough = |vertices: std::ops::Range<usize>| {
+            vertices.filter(|&v| !is_disc(triangles, all.of(v))).map(|v| v as u32).collect::<Vec<_>>()
+        };
+        let rough: Vec<Vec<u32>> = all.chunks().map(rough).collect();
+        all.rough = rough.concat();
+        all
     }
 
     /// The corners at a vertex, ascending.
@@ -65,18 +63,48 @@ pub fn next_and_previous(triangles: &[[u32; 3]], corner: u32) -> (u32, u32) {
     }
 }
 
+/// Fans up to this size are looked at on the stack.
+const SMALL_FAN: usize = 16;
+
+/// Do the triangles of these corners, all at one vertex, form one closed disc around it, each edge with one triangle on
+/// either side? Quick, and may say no of large ones. Of no triangles it says yes: nothing is wrong there.
+fn is_disc(triangles: &[[u32; 3]], incident: &[u32]) -> bool {
+    let count = incident.len();
+    if count == 0 {
+        return true;
+    }
+    if !(3..=SMALL_FAN).contains(&count) {
+        return false;
+    }
+    let (mut next, mut previous) = ([0; SMALL_FAN], [0; SMALL_FAN]);
+    for (slot, &corner) in incident.iter().enumerate() {
+        (next[slot], previous[slot]) = next_and_previous(triangles, corner);
+    }
+    let (next, mut at) = (&next[..count], 0);
+    for step in 1..=count {
+        let mut following = (0..count).filter(|&slot| next[slot] == previous[at]);
+        match (following.next(), following.next()) {
+            (Some(slot), None) if (slot == 0) == (step == count) => at = slot,
+            _ => return false,
+        }
+    }
+    true
+}
+
 /// Triangles with the same three vertices as an earlier one, whatever their rotation and orientation; ascending.
 pub fn duplicate_triangles(triangles: &[[u32; 3]], corners: &Corners) -> Vec<u32> {
+    // The corners of two such triangles are no discs.
     let mut found: Vec<u32> = corners
-        .chunks()
+        .rough
+        .par_chunks(VERTEX_CHUNK)
         .flat_map_iter(|vertices| {
             let mut others: Vec<(u32, u32, u32)> = Vec::new();
             let mut repeats = Vec::new();
-            for v in vertices {
+            for &v in vertices {
                 others.clear();
-                others.extend(corners.of(v).iter().filter_map(|&corner| {
+                others.extend(corners.of(v as usize).iter().filter_map(|&corner| {
                     let (a, b) = next_and_previous(triangles, corner);
-                    (v as u32 <= a.min(b)).then_some((a.min(b), a.max(b), corner / 3))
+                    (v <= a.min(b)).then_some((a.min(b), a.max(b), corner / 3))
                 }));
                 others.sort_unstable();
                 repeats.extend(others.windows(2).filter(|w| (w[0].0, w[0].1) == (w[1].0, w[1].1)).map(|w| w[1].2));
@@ -110,12 +138,13 @@ impl AddAssign for Topology {
 /// Counts borders and non-manifold places. No triangle may have a vertex twice.
 pub fn topology(triangles: &[[u32; 3]], corners: &Corners) -> Topology {
     let parts: Vec<Topology> = corners
-        .chunks()
+        .rough
+        .par_chunks(VERTEX_CHUNK)
         .map(|vertices| {
             let mut total = Topology::default();
             let mut star = Star::default();
-            for v in vertices {
-                total += star.examine(triangles, v as u32, corners.of(v));
+            for &v in vertices {
+                total += star.examine(triangles, v, corners.of(v as usize));
             }
             total
         })

@@ -96,9 +96,9 @@ struct Nearest {
 pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
     let facet = |t: &[u32; 3]| {
         let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
-        (t[0], Facet::new(b, c))
+        (pair.positions[t[0] as usize], Facet::new(b, c))
     };
-    let facets: Vec<(u32, Facet)> = pair.coarse.par_iter().map(facet).collect();
+    let facets: Vec<([i32; 3], Facet)> = pair.coarse.par_iter().map(facet).collect();
     let field = Field { pair, fans: pair.fans, facets: &facets };
     let mut nearest: Vec<(f32, u32)> =
         (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
@@ -152,7 +152,11 @@ fn root_mean_square(nearest: &[(f32, u32)]) -> f32 {
 /// Position of `v` relative to position `origin`, quanta: the difference is exact before it is rounded. The grid spans
 /// less than 2^31 quanta, so it does not overflow.
 fn relative(positions: &[[i32; 3]], origin: u32, v: u32) -> Vec3 {
-    let (o, p) = (positions[origin as usize], positions[v as usize]);
+    difference(positions[v as usize], positions[origin as usize])
+}
+
+/// From `o` to `p`, quanta.
+fn difference(p: [i32; 3], o: [i32; 3]) -> Vec3 {
     Vec3::new((p[0] - o[0]) as f32, (p[1] - o[1]) as f32, (p[2] - o[2]) as f32)
 }
 
@@ -160,8 +164,8 @@ fn relative(positions: &[[i32; 3]], origin: u32, v: u32) -> Vec3 {
 struct Field<'a> {
     pair: &'a LevelPair<'a>,
     fans: &'a Fans,
-    /// The coarse triangles, with their first corner.
-    facets: &'a [(u32, Facet)],
+    /// The coarse triangles, each after its first corner.
+    facets: &'a [([i32; 3], Facet)],
 }
 
 impl Field<'_> {
@@ -220,10 +224,11 @@ impl Field<'_> {
 
     /// Looks for a nearer point on these triangles, four at a time.
     fn improve(&self, origin: u32, triangles: &[u32], best: &mut Nearest) {
+        let origin = self.pair.positions[origin as usize];
         for group in triangles.chunks(4) {
             let lane = |l: usize| &self.facets[group[l.min(group.len() - 1)] as usize];
             let facets = [0, 1, 2, 3].map(lane);
-            let from = facets.map(|f| relative(self.pair.positions, origin, f.0));
+            let from = facets.map(|f| difference(f.0, origin));
             let four = closest_of_four(facets.map(|f| &f.1), from.map(|corner| best.at - corner));
             let square = four.squares.min_element();
             if square < best.square {

@@ -57,8 +57,8 @@ pub struct Surface<'a> {
 pub struct Wedges {
     /// Ordered by position.
     pub wedges: Vec<Wedge>,
-    /// Wedge indices, one triangle per input triangle.
-    pub triangles: Vec<[u32; 3]>,
+    /// Wedge indices, one triangle per input triangle; `None` where they are the position indices.
+    pub triangles: Option<Vec<[u32; 3]>>,
     /// Wedges whose normal was made because the input has none there.
     pub normals_made: u64,
     /// Wedges whose normal was made because the input's is not a number or infinite.
@@ -99,10 +99,10 @@ struct Part {
     repaired: u64,
 }
 
-/// Triangles over wedge indices. Where no position has several wedges they are the position indices themselves.
-fn corner_wedges(surface: &Surface, parts: &[Part]) -> Vec<[u32; 3]> {
+/// Triangles over wedge indices; `None` where no position has several wedges: they are the position indices themselves.
+fn corner_wedges(surface: &Surface, parts: &[Part]) -> Option<Vec<[u32; 3]>> {
     if !parts.iter().any(|p| p.several) {
-        return surface.triangles.to_vec();
+        return None;
     }
     let mut triangles = vec![[0u32; 3]; surface.triangles.len()];
     let flat = triangles.as_flattened_mut();
@@ -117,7 +117,7 @@ fn corner_wedges(surface: &Surface, parts: &[Part]) -> Vec<[u32; 3]> {
         }
         base += part.wedges.len() as u32;
     }
-    triangles
+    Some(triangles)
 }
 
 /// Where the normal of a corner comes from.
@@ -345,7 +345,7 @@ mod tests {
         let made = cube_wedges(NormalOptions { crease_angle_deg: 30.0, ..NormalOptions::default() });
         assert_eq!(made.wedges.len(), 24);
         let (_, triangles) = cube();
-        for (t, triangle) in made.triangles.iter().enumerate() {
+        for (t, triangle) in made.triangles.expect("several wedges at a corner").iter().enumerate() {
             let own = triangle.map(|w| made.wedges[w as usize]);
             assert_eq!(own.map(|w| w.position), triangles[t]);
             assert!(own.iter().all(|w| w.normal == own[0].normal && w.normal.contains(&0.0)));

@@ -182,7 +182,7 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
     report.normals_made = made.normals_made;
     report.normals_repaired = made.normals_repaired;
     let texturing = (!material_of.is_empty()).then(|| texturing(material_of, uv_sets, &records, &mut report));
-    let (wedges, triangles) = (made.wedges, made.triangles);
+    let (wedges, triangles) = (made.wedges, made.triangles.unwrap_or(triangles));
     let mut mesh = Mesh { wedges, triangles, has_colors: !colors.is_empty(), positions, texturing, objects };
     if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
         report.positions_split = split_non_manifold(&mut mesh);

@@ -184,31 +184,52 @@ fn fits_indices(items: &[Item], corners: &[[u32; 3]]) -> bool {
 /// Reorders `items` around a plane across their longest extent; returns how many are below. The plane is
 /// the median, moved to the nearest place where keys differ, so that equal keys stay together.
 fn partition(items: &mut [Item]) -> usize {
+    let (lo, hi) = key_bounds(items);
+    let axis = (0..3).max_by(|&a, &b| (hi[a] - lo[a]).total_cmp(&(hi[b] - lo[b]))).expect("three axes");
+    let half = items.len() / 2;
+    // Keys are not negative, so that their bits are in the order of their values.
+    items.select_nth_unstable_by_key(half, |i| u64::from(i.key[axis].to_bits()) << 32 | u64::from(i.triangle));
+    let value = items[half].key[axis];
+    if lo[axis] == hi[axis] {
+        return half;
+    }
+    // Nothing before the median is above it, nothing after it below.
+    let (before, after) = items.split_at_mut(half);
+    let below = before.iter().filter(|i| i.key[axis] < value).count();
+    let not_above = half + after.iter().filter(|i| i.key[axis] == value).count();
+    let cut_low = below > 0 && half - below <= not_above - half || not_above == half + after.len();
+    match cut_low {
+        true if below == half => {}
+        true => bring_forward(before, |i| i.key[axis] < value),
+        false => bring_forward(after, |i| i.key[axis] == value),
+    }
+    if cut_low { below } else { not_above }
+}
+
+/// Smallest and largest key per axis.
+fn key_bounds(items: &[Item]) -> ([f32; 3], [f32; 3]) {
+    if items.len() > PARALLEL_MIN {
+        let (left, right) = items.split_at(items.len() / 2);
+        let (a, b) = rayon::join(|| key_bounds(left), || key_bounds(right));
+        return (std::array::from_fn(|k| a.0[k].min(b.0[k])), std::array::from_fn(|k| a.1[k].max(b.1[k])));
+    }
     let (mut lo, mut hi) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for i in items.iter() {
+    for i in items {
         for k in 0..3 {
             lo[k] = lo[k].min(i.key[k]);
             hi[k] = hi[k].max(i.key[k]);
         }
     }
-    let axis = (0..3).max_by(|&a, &b| (hi[a] - lo[a]).total_cmp(&(hi[b] - lo[b]))).expect("three axes");
-    let half = items.len() / 2;
-    let order = |a: &Item, b: &Item| a.key[axis].total_cmp(&b.key[axis]).then(a.triangle.cmp(&b.triangle));
-    items.select_nth_unstable_by(half, order);
-    let value = items[half].key[axis];
-    if lo[axis] == hi[axis] {
-        return half;
-    }
-    let below = items.iter().filter(|i| i.key[axis] < value).count();
-    let not_above = items.iter().filter(|i| i.key[axis] <= value).count();
-    let cut_low = below > 0 && half - below <= not_above.saturating_sub(half) || not_above == items.len();
+    (lo, hi)
+}
+
+/// Puts the items that are `wanted` before the others.
+fn bring_forward(items: &mut [Item], wanted: impl Fn(&Item) -> bool) {
     let mut at = 0;
     for i in 0..items.len() {
-        let left = if cut_low { items[i].key[axis] < value } else { items[i].key[axis] <= value };
-        if left {
+        if wanted(&items[i]) {
             items.swap(at, i);
             at += 1;
         }
     }
-    at
 }

@@ -104,7 +104,7 @@ pub fn classify(triangles: &[[u32; 3]], cluster_of: &[u32], fans: &Fans, positio
     let kinds: Vec<(Kind, bool)> =
         (0..positions as u32).into_par_iter().map(|v| classify_one(v, triangles, cluster_of, fans.around(v))).collect();
     let broken = kinds.par_iter().filter(|k| k.1).count() as u64;
-    (kinds.into_iter().map(|k| k.0).collect(), broken)
+    (kinds.par_iter().map(|k| k.0).collect(), broken)
 }
 
 /// Fans up to this size are ordered on the stack.
@@ -137,21 +137,29 @@ fn classify_one(v: u32, triangles: &[[u32; 3]], cluster_of: &[u32], fan: &[u32])
 /// fan closes, `None` when it is not one single fan.
 fn order_fan(spokes: &mut [(u32, u32, u32)]) -> Option<bool> {
     let n = spokes.len();
-    let mut first = None;
-    for i in 0..n {
-        if !spokes.iter().any(|s| s.1 == spokes[i].0) && first.replace(i).is_some() {
+    // Most fans are closed, and it does not matter where those begin.
+    let closed = chain(spokes) && spokes[n - 1].1 == spokes[0].0;
+    if !closed {
+        let mut firsts = (0..n).filter(|&i| !spokes.iter().any(|s| s.1 == spokes[i].0));
+        let (Some(first), None) = (firsts.next(), firsts.next()) else { return None };
+        spokes.swap(0, first);
+        if !chain(spokes) {
             return None;
         }
     }
-    spokes.swap(0, first.unwrap_or(0));
-    for i in 1..n {
-        let wanted = spokes[i - 1].1;
-        let found = (i..n).find(|&j| spokes[j].0 == wanted)?;
-        spokes.swap(i, found);
-    }
-    let closed = spokes[n - 1].1 == spokes[0].0;
     let distinct = (0..n).all(|i| (0..i).all(|j| spokes[i].0 != spokes[j].0 && spokes[i].1 != spokes[j].1));
-    (distinct && closed == first.is_none()).then_some(closed)
+    distinct.then_some(closed)
+}
+
+/// Puts behind each spoke, from the first on, one that follows it; false where none does.
+fn chain(spokes: &mut [(u32, u32, u32)]) -> bool {
+    (1..spokes.len()).all(|i| {
+        let found = (i..spokes.len()).find(|&j| spokes[j].0 == spokes[i - 1].1);
+        found.is_some_and(|j| {
+            spokes.swap(i, j);
+            true
+        })
+    })
 }
 
 fn kind_of_ordered(spokes: &[(u32, u32, u32)], closed: bool) -> Kind {

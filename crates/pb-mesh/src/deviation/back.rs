@@ -91,25 +91,29 @@ impl Field<'_> {
         triangles.map(square).fold(f32::INFINITY, f32::min).sqrt()
     }
 
-    /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`.
-    fn nearest_vertex(&self, origin: u32, start: u32, at: Vec3) -> u32 {
+    /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`, or to one whose
+    /// squared distance is not above `enough`. The answer is the vertex and its squared distance.
+    fn nearest_vertex(&self, origin: u32, start: u32, at: Vec3, enough: f32) -> (u32, f32) {
         let square = |v: u32| relative(self.pair.positions, origin, v).distance_squared(at);
         let (mut now, mut best) = (start, square(start));
         for _ in 0..MAX_WALK_BACK {
             let before = now;
             for &t in self.pair.fine.around(before) {
-                for v in self.pair.triangles[t as usize] {
+                for v in self.pair.triangles[t as usize].into_iter().filter(|&v| v != before) {
                     let d = square(v);
                     if d < best {
                         (now, best) = (v, d);
                     }
+                }
+                if best <= enough {
+                    return (now, best);
                 }
             }
             if now == before {
                 break;
             }
         }
-        now
+        (now, best)
     }
 
     /// Whether all three are used by the input.
@@ -120,8 +124,7 @@ impl Field<'_> {
     /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0; goes no further where
     /// the squared distance is not above `enough`.
     fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk, enough: f32) -> f32 {
-        let start = self.nearest_vertex(tri[0], tri[k], at);
-        let square = relative(self.pair.positions, tri[0], start).distance_squared(at);
+        let (start, square) = self.nearest_vertex(tri[0], tri[k], at, enough);
         if square <= enough && !self.pair.fine.around(start).is_empty() {
             return square.sqrt();
         }
@@ -137,6 +140,9 @@ impl Field<'_> {
                     let square = closest_feature(at, corners).0.distance_squared(at);
                     if square < best {
                         best = square;
+                        if best <= enough {
+                            return best.sqrt();
+                        }
                         next = fine;
                         let far = |c: usize| corners[c].distance_squared(at);
                         let k = (0..3).min_by(|&a, &b| far(a).total_cmp(&far(b))).expect("three corners");
@@ -144,7 +150,7 @@ impl Field<'_> {
                     }
                 }
             }
-            if best <= enough || best == before || walk == Walk::Quick && next[0] == nearest[0] {
+            if best == before || walk == Walk::Quick && next[0] == nearest[0] {
                 break;
             }
             nearest = next;

@@ -131,7 +131,7 @@ pub(super) fn measure_levels(
             LevelErrors {
                 max: (0..count).map(bound).collect(),
                 rms: (square + base.rms * base.rms).sqrt().max(finer.rms),
-                vertices: used_positions(&coarse.triangles, grid.points.len()),
+                vertices: used_positions(&coarse.fans, grid.points.len()),
             }
         };
         let next = outside.kept("errors", level.into(), errors);
@@ -170,10 +170,8 @@ pub(super) fn add_slides(errors: &mut [LevelErrors], slides: &[TextureDeviation]
 }
 
 /// How many positions triangles use.
-fn used_positions(triangles: &[[u32; 3]], positions: usize) -> u64 {
-    let mut used = vec![false; positions];
-    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
-    used.iter().filter(|u| **u).count() as u64
+fn used_positions(fans: &Fans, positions: usize) -> u64 {
+    (0..positions as u32).into_par_iter().filter(|&v| !fans.around(v).is_empty()).count() as u64
 }
 
 /// Positions on open borders of the mesh.

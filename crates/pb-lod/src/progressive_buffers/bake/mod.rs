@@ -298,6 +298,9 @@ fn share_of<T>(count: usize, progress: &(dyn Fn(f32) + Sync)) -> impl Fn(T) -> T
 
 /// Mean normal of each position's wedges.
 fn normals(wedges: &[Wedge], positions: usize) -> Vec<Vec3> {
+    if wedges.len() == positions {
+        return wedges.par_iter().map(|w| (Vec3::ZERO + Vec3::from_array(w.normal)).normalize_or_zero()).collect();
+    }
     let mut sums = vec![Vec3::ZERO; positions];
     for w in wedges {
         sums[w.position as usize] += Vec3::from_array(w.normal);
