@@ -16,6 +16,10 @@ demo:
 bench-bake *MESHES:
     tools/bench-bake {{MESHES}}
 
+# bytes of each stream of an archive per triangle of its mesh
+bench-size *MESHES:
+    tools/bench-size {{MESHES}}
+
 # triangles per second from an archive's chunks to arrays for the adapter, on one core
 bench-decode *ARCHIVES:
     tools/bench-decode {{ARCHIVES}}

@@ -222,6 +222,9 @@ pub struct InspectArgs {
     /// Archive to look into
     #[arg(value_name = "A.pb")]
     pub archive: PathBuf,
+    /// Also read all chunks, and show what each stream costs: positions, normals, indices, ...
+    #[arg(long)]
+    pub streams: bool,
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,

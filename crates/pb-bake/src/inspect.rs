@@ -1,5 +1,6 @@
 //! `inspect`, `verify` and `export`: the commands that read an archive.
 
+mod streams;
 mod textures;
 
 use crate::cli::{ExportArgs, InspectArgs, VerifyArgs};
@@ -10,6 +11,7 @@ use pb_lod::progressive_buffers::model::Model;
 use pb_lod::progressive_buffers::verify::{self, MAX_BREACHES};
 use serde::Serialize;
 use std::fmt::Write as _;
+use streams::StreamTable;
 use textures::TextureInspection;
 
 /// What `inspect --json` prints.
@@ -38,12 +40,15 @@ struct Inspection {
     cluster_triangles_min: u32,
     cluster_triangles_max: u32,
     neighbours_max: u32,
+    /// None unless asked for.
+    streams: Option<StreamTable>,
 }
 
-/// Shows what the tables say. Chunks are not read, see `verify`.
+/// Shows what the tables say. Chunks are read only for the table of streams; see `verify`.
 pub fn inspect(args: &InspectArgs) -> Result<(), Failure> {
     let model = Model::open(&args.archive).map_err(blame_input)?;
-    let inspection = look(&model);
+    let streams = args.streams.then(|| StreamTable::new(&model)).transpose()?;
+    let inspection = Inspection { streams, ..look(&model) };
     if args.json { print_json(&inspection) } else { print_text(&text(&inspection)) }
 }
 
@@ -72,6 +77,7 @@ fn look(model: &Model) -> Inspection {
         cluster_triangles_min: finest().min().unwrap_or(0),
         cluster_triangles_max: finest().max().unwrap_or(0),
         neighbours_max: model.clusters().iter().map(|c| c.neighbours_count).max().unwrap_or(0),
+        streams: None,
     }
 }
 
@@ -110,6 +116,9 @@ fn text(i: &Inspection) -> String {
     let _ = writeln!(text, "colours: {}", if i.colors { "yes" } else { "no" });
     if let Some(textures) = &i.textures {
         text += &textures.text();
+    }
+    if let Some(streams) = &i.streams {
+        text += &streams.text();
     }
     text
 }

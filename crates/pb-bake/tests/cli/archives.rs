@@ -104,3 +104,17 @@ fn an_unknown_version_is_refused_by_number() {
     place.write("new.pb", &bytes);
     place.run(&["inspect", "new.pb"]).fails(1, "format version 7, but this program reads version 1");
 }
+
+#[test]
+fn inspect_shows_what_each_stream_costs() {
+    let place = Place::baked();
+    let run = place.run(&["inspect", "wave.pb", "--streams"]).succeeds();
+    assert!(["positions", "normals", "indices", "tables"].iter().all(|n| run.stdout.contains(n)), "{}", run.stdout);
+    let json = place.run(&["inspect", "wave.pb", "--streams", "--json"]).succeeds().json();
+    let streams = json["streams"]["streams"].as_array().unwrap();
+    let sum: u64 = streams.iter().map(|s| s["bytes"].as_u64().unwrap()).sum();
+    let (all, tables) = (json["bytes"].as_u64().unwrap(), json["streams"]["tables"].as_u64().unwrap());
+    // Each stream is packed alone, so the sum is off by a little.
+    assert!((sum + tables).abs_diff(all) * 50 <= all, "{sum} + {tables} of {all}");
+    assert!(place.run(&["inspect", "wave.pb", "--json"]).succeeds().json()["streams"].is_null());
+}

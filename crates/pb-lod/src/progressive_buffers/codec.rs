@@ -7,7 +7,10 @@
 //!
 //! Must never: trust a byte. Whatever `decode_chunk` accepts has all indices and parents in range.
 
+mod streams;
 mod unpack;
+
+pub use streams::StreamBytes;
 
 use super::layout::Vertex;
 use bytemuck::{Pod, Zeroable};
@@ -118,23 +121,30 @@ pub fn encode_chunk(chunk: &Chunk) -> Vec<u8> {
     );
     check(chunk).expect("a chunk's indices and parents are in range");
     let stored: Vec<Stored> = chunk.vertices.iter().map(|v| store(v, shape)).collect();
-    let rotated: Vec<u32> = chunk.indices.iter().map(|&i| rotate(i as u32, shape)).collect();
-    let vertices = if stored.is_empty() {
-        Vec::new()
-    } else {
-        meshopt::encode_vertex_buffer_level(&stored, 3, Some(1)).expect("20-byte records are encodable")
-    };
-    let indices = if rotated.is_empty() {
-        Vec::new()
-    } else {
-        meshopt::encode_index_buffer(&rotated, shape.end_vertex as usize).expect("triangle lists are encodable")
-    };
+    let (vertices, indices) = (encode_vertices(&stored), encode_indices(&chunk.indices, shape));
     let mut bytes = Vec::with_capacity(PREFIX_BYTES + vertices.len() + indices.len());
     bytes.extend((vertices.len() as u32).to_le_bytes());
     bytes.extend((indices.len() as u32).to_le_bytes());
     bytes.extend(vertices);
     bytes.extend(indices);
     bytes
+}
+
+fn encode_vertices(stored: &[Stored]) -> Vec<u8> {
+    match stored.is_empty() {
+        true => Vec::new(),
+        false => meshopt::encode_vertex_buffer_level(stored, 3, Some(1)).expect("20-byte records are encodable"),
+    }
+}
+
+fn encode_indices(indices: &[u16], shape: ChunkShape) -> Vec<u8> {
+    let rotated: Vec<u32> = indices.iter().map(|&i| rotate(i as u32, shape)).collect();
+    match rotated.is_empty() {
+        true => Vec::new(),
+        false => {
+            meshopt::encode_index_buffer(&rotated, shape.end_vertex as usize).expect("triangle lists are encodable")
+        }
+    }
 }
 
 /// Unpacks and checks a payload from outside.
@@ -310,6 +320,19 @@ mod tests {
         }
         let empty = Chunk { first_vertex: 7, ..Chunk::default() };
         assert_eq!(decode_chunk(&encode_chunk(&empty), empty.shape()).unwrap(), empty);
+    }
+
+    #[test]
+    fn streams_add_up_to_about_the_chunk_and_what_says_nothing_costs_nothing() {
+        for chunk in [grid(20, 0), grid(200, 100)] {
+            let (streams, bytes) = (StreamBytes::of(&chunk), encode_chunk(&chunk).len() as u64);
+            assert!(streams.total().abs_diff(bytes) * 50 <= bytes, "{streams:?} {bytes}");
+            assert!(streams.positions > 0 && streams.normals > 0 && streams.indices > 0);
+        }
+        let mut plain = grid(20, 0);
+        plain.vertices.iter_mut().for_each(|v| v.color = [0; 4]);
+        assert_eq!(StreamBytes::of(&plain).colors, 0);
+        assert_eq!(StreamBytes::of(&plain).parents, 0, "at the coarsest level");
     }
 
     #[test]
