@@ -99,7 +99,11 @@ enum Measurement {
     },
     /// Speed of the whole pb-bake command, and of a plain meshopt chain, each step to a quarter of the triangles.
     BakeSpeed {
-        mesh: PathBuf,
+        #[arg(required = true)]
+        meshes: Vec<PathBuf>,
+        /// A row of a table for each, instead of JSON.
+        #[arg(long)]
+        markdown: bool,
         #[arg(long, default_value_t = 4)]
         steps: u32,
         /// The pb-bake to time; else the one beside this program.
@@ -195,8 +199,18 @@ fn run(command: Measurement) -> Result<bool> {
                 }
             }
         }
-        Measurement::BakeSpeed { mesh, steps, pb_bake } => {
-            println!("{:#}", speed::bake(&pb_bake.unwrap_or_else(levels::default_pb_bake), &mesh, steps)?);
+        Measurement::BakeSpeed { meshes, markdown, steps, pb_bake } => {
+            let pb_bake = pb_bake.unwrap_or_else(levels::default_pb_bake);
+            for (i, mesh) in meshes.iter().enumerate() {
+                let found = speed::bake(&pb_bake, mesh, steps)?;
+                match markdown {
+                    true => println!(
+                        "{}",
+                        speed::bake_row(&found, &mesh.file_stem().unwrap_or_default().to_string_lossy(), i == 0)
+                    ),
+                    false => println!("{found:#}"),
+                }
+            }
         }
         Measurement::Memory(arguments) => {
             let found = memory::run(&arguments)?;

@@ -10,24 +10,68 @@ use serde_json::{Value, json};
 use crate::chain::quarters;
 use crate::mesh::Mesh;
 
-/// Bakes `mesh` to a temporary file, process start to exit, and runs the chain on the same mesh.
+/// Bakes `mesh` to a temporary file, process start to exit, with all threads and with one, and runs the chain on the same mesh.
 pub fn bake(pb_bake: &Path, mesh: &Path, steps: u32) -> Result<Value> {
-    let archive = std::env::temp_dir().join(format!("pb-measure-{}.pb", std::process::id()));
-    let start = Instant::now();
-    let run = Command::new(pb_bake).arg(mesh).arg(&archive).args(["--force", "--quiet"]).output();
-    let bake_secs = start.elapsed().as_secs_f64();
-    let bytes = std::fs::metadata(&archive).map_or(0, |m| m.len());
-    let _ = std::fs::remove_file(&archive);
-    let output = run.with_context(|| format!("{}: does not start; build it or pass --pb-bake", pb_bake.display()))?;
-    ensure!(output.status.success(), "{}: {}", pb_bake.display(), String::from_utf8_lossy(&output.stderr));
+    let threads = std::thread::available_parallelism()?.get();
+    let (seconds, summary) = timed(pb_bake, mesh, threads)?;
+    let (alone, _) = timed(pb_bake, mesh, 1)?;
     let mesh = Mesh::read(mesh)?;
     let triangles = mesh.triangles.len() as f64;
     let chain_secs = quarters(&mesh.welded(), steps);
     Ok(json!({
-        "triangles": triangles, "archive_bytes": bytes, "bytes_per_triangle": bytes as f64 / triangles,
-        "bake_secs": bake_secs, "bake_mtri_per_sec": triangles / bake_secs / 1e6,
+        "triangles": triangles, "bytes_per_triangle": summary["bytes_per_input_triangle"],
+        "peak_memory_bytes": summary["peak_memory_bytes"], "spilled_bytes": summary["spilled_bytes"],
+        "threads": threads, "bake_secs": seconds, "bake_mtri_per_sec": triangles / seconds / 1e6,
+        "bake_secs_one_thread": alone, "parallel_efficiency": alone / seconds / threads as f64,
+        "stages": summary["stages"],
         "meshopt_chain_secs": chain_secs, "meshopt_chain_mtri_per_sec": triangles / chain_secs / 1e6,
     }))
+}
+
+/// The same as rows of a table; the first one of several names the columns.
+pub fn bake_row(found: &Value, name: &str, first: bool) -> String {
+    let number = |key: &str| found[key].as_f64().unwrap_or(f64::NAN);
+    let stages: Vec<(&str, f64)> = found["stages"].as_array().into_iter().flatten().filter_map(stage).collect();
+    let mut text = String::new();
+    if first {
+        let names: Vec<&str> = stages.iter().map(|s| s.0).collect();
+        text += "| mesh | M triangles | seconds | M/s | one thread, s | efficiency | peak, MiB | bytes per triangle | ";
+        text += &format!("{} | meshopt chain, s | M/s |\n|---|", names.join(" | "));
+        text += &"---|".repeat(9 + names.len());
+        text.push('\n');
+    }
+    let seconds: Vec<String> = stages.iter().map(|s| format!("{:.2}", s.1)).collect();
+    text + &format!(
+        "| {name} | {:.2} | {:.2} | {:.3} | {:.2} | {:.2} | {:.0} | {:.2} | {} | {:.2} | {:.3} |",
+        number("triangles") / 1e6,
+        number("bake_secs"),
+        number("bake_mtri_per_sec"),
+        number("bake_secs_one_thread"),
+        number("parallel_efficiency"),
+        number("peak_memory_bytes") / f64::from(1 << 20),
+        number("bytes_per_triangle"),
+        seconds.join(" | "),
+        number("meshopt_chain_secs"),
+        number("meshopt_chain_mtri_per_sec"),
+    )
+}
+
+fn stage(stage: &Value) -> Option<(&str, f64)> {
+    Some((stage["name"].as_str()?, stage["seconds"].as_f64()?))
+}
+
+/// Seconds of a bake, and what it says of itself.
+fn timed(pb_bake: &Path, mesh: &Path, threads: usize) -> Result<(f64, Value)> {
+    let archive = std::env::temp_dir().join(format!("pb-measure-{}.pb", std::process::id()));
+    let start = Instant::now();
+    let mut command = Command::new(pb_bake);
+    command.arg(mesh).arg(&archive).args(["--force", "--quiet", "--json", "--threads", &threads.to_string()]);
+    let run = command.output();
+    let seconds = start.elapsed().as_secs_f64();
+    let _ = std::fs::remove_file(&archive);
+    let output = run.with_context(|| format!("{}: does not start; build it or pass --pb-bake", pb_bake.display()))?;
+    ensure!(output.status.success(), "{}: {}", pb_bake.display(), String::from_utf8_lossy(&output.stderr));
+    Ok((seconds, serde_json::from_slice(&output.stdout).context("the summary of a bake is JSON")?))
 }
 
 /// Median, 95th percentile and maximum of every column of a --stats file.
