@@ -137,7 +137,7 @@ impl<'a> Job<'a> {
     /// After a failure that has its reason in the machine: how to go on, if there is something to go on from.
     pub fn keep(self) -> Option<String> {
         if self.lock().holds {
-            return self.folder.is_some().then(|| interrupt::advice().unwrap_or_default());
+            return interrupt::advice();
         }
         self.remove();
         None

@@ -361,14 +361,8 @@ impl Model {
         Ok(decoded)
     }
 
-    /// Checks and decodes the bytes of a chunk of geometry that were read from its [`extent`](Model::extent).
-    pub fn decode(&self, chunk: ChunkId, bytes: &[u8]) -> Result<Chunk, ModelError> {
-        let mut decoded = Chunk::default();
-        self.decode_into(chunk, bytes, &mut Decoder::default(), &mut decoded)?;
-        Ok(decoded)
-    }
-
-    /// The same into a chunk that is there already; see [`Decoder`].
+    /// Checks and decodes the bytes of a chunk of geometry that were read from its [`extent`](Model::extent), into a chunk that
+    /// is there already; see [`Decoder`].
     pub fn decode_into(
         &self,
         chunk: ChunkId,

@@ -42,23 +42,6 @@ pub(super) trait Kept: Sized {
     fn write(&self, out: &mut dyn Write) -> Result<()>;
 }
 
-/// The kept result of a part of a step, else what `make` makes of it, which is kept then.
-pub(super) fn kept<T: Kept, E>(
-    (checkpoints, spill): (&dyn Checkpoints, &Spill),
-    step: &'static str,
-    part: u32,
-    make: impl FnOnce() -> std::result::Result<T, E>,
-) -> std::result::Result<T, E> {
-    if let Some(mut input) = checkpoints.load(step, part)
-        && let Ok(known) = T::read(&mut input, spill)
-    {
-        return Ok(known);
-    }
-    let made = make()?;
-    checkpoints.save(step, part, &|out| made.write(out));
-    Ok(made)
-}
-
 /// Writes a list: its length, its items as they lie in memory.
 pub fn put_list<T: Pod>(out: &mut dyn Write, list: &[T]) -> Result<()> {
     out.write_all(&(list.len() as u64).to_ne_bytes())?;

@@ -26,7 +26,7 @@ use super::textures::MAX_SIZE_LOG2;
 use super::write::BakedModel;
 use assemble::{Finished, assemble};
 use charting::{ChartInput, Tiles, make_tiles, sizing};
-use checkpoints::{Checkpoints, Kept, NoCheckpoints, kept};
+use checkpoints::{Checkpoints, Kept, NoCheckpoints};
 use glam::Vec3;
 use grid::Grid;
 use levels::{add_slides, measure_levels};
@@ -112,7 +112,14 @@ impl Outside<'_> {
 
     /// The same where it may fail.
     fn try_kept<T: Kept, E>(&self, step: &'static str, part: u32, make: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
-        kept((self.checkpoints, self.spill), step, part, make)
+        if let Some(mut input) = self.checkpoints.load(step, part)
+            && let Ok(known) = T::read(&mut input, self.spill)
+        {
+            return Ok(known);
+        }
+        let made = make()?;
+        self.checkpoints.save(step, part, &|out| made.write(out));
+        Ok(made)
     }
 }
 
