@@ -9,6 +9,7 @@ pub mod deviation;
 pub mod material;
 pub mod mesh;
 pub mod normals;
+pub mod numbering;
 pub mod objects;
 pub mod polygon;
 pub mod repair;

@@ -6,10 +6,12 @@
 //! Sander and Mitchell 2005, section 5.4, with one global limit instead of passes per cluster.
 
 mod border;
+mod build;
 mod charts;
 mod compact;
 mod corner_lists;
 mod fan;
+mod head_start;
 mod legal;
 mod patch;
 mod quadric;
@@ -20,15 +22,14 @@ mod vanish;
 pub use charts::UvInput;
 
 use crate::segment::Segmentation;
-use crate::topology::{Fans, Kind, border_pair};
+use crate::topology::{Fans, Kind};
 use border::Seam;
-use charts::Charts;
+use build::{build_seams, color_seams};
 use compact::Forest;
 use glam::Vec3;
-use patch::{Patch, PatchInput};
+use patch::Patch;
 use rayon::prelude::*;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A level is reached when the vertex count is within this factor of its target.
 const TARGET_TOLERANCE: f64 = 1.01;
@@ -56,11 +57,8 @@ const MAX_RISE: f64 = 16.0;
 const FREE_ERROR: f64 = 2e-2;
 /// Collapses that a rank among all of them is estimated from.
 const RANK_SAMPLES: usize = 1 << 16;
-/// A component vanishes when the cost limit reaches this share of its squared diameter.
-const VANISH_SHARE: f32 = 0.25;
-
-/// Share of the time that goes by before the first vertex collapses, for progress displays; the rest goes with those that do.
-const SET_UP_SHARE: f32 = 0.3;
+/// Share of the time that goes by until every cluster had its head start, for progress displays.
+const HEAD_START_SHARE: f32 = 0.6;
 
 /// The mesh to simplify. Positions are grid points; the cost unit is the squared grid quantum.
 pub struct UnisonInput<'a> {
@@ -119,23 +117,17 @@ impl Collapses {
 
 /// Simplifies to `levels` levels, each with `1 / ratio` of the positions of the one before.
 pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn Fn(f32) + Sync)) -> Collapses {
-    let members = Members::new(input);
     let forest = Forest::new(input.positions.len(), (levels - 1) as u8);
-    let area = mean_area(input);
-    let built = AtomicUsize::new(0);
-    let patch = |c| {
-        let patch = Patch::new(patch_input(input, &members, area, c as u32));
-        let share = (built.fetch_add(1, Ordering::Relaxed) + 1) as f32 / input.segmentation.len() as f32;
-        progress(share * SET_UP_SHARE);
-        Mutex::new(patch)
-    };
-    let patches: Vec<Mutex<Patch>> = (0..input.segmentation.len()).into_par_iter().map(patch).collect();
-    let mut seams = color_seams(build_seams(input, &members));
-    drop(members);
     let mut counts = vec![input.positions.len()];
-    let mut search = Search::new(&patches, input.positions);
+    if levels == 1 {
+        return collect(&[], input, forest, counts);
+    }
+    let mut search = Search::new(input.positions);
+    let early = |share| progress(share * HEAD_START_SHARE);
+    let (patches, died) = head_start::patches(input, &mut search, &forest, ratio, &early);
+    let mut seams = color_seams(build_seams(input, &patches));
     // But for points that vanished components leave.
-    let mut alive = input.positions.len();
+    let mut alive = input.positions.len() - died;
     for level in 0..levels - 1 {
         patches.par_iter().for_each(|p| lock(p).bury_points());
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
@@ -156,23 +148,12 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             search.record(alive as f64);
             let all = 1.0 - ratio.powi(1 - levels as i32);
             let dead = ((1.0 - alive as f64 / input.positions.len() as f64) / all).min(1.0) as f32;
-            progress(SET_UP_SHARE + dead * (1.0 - SET_UP_SHARE));
+            progress(HEAD_START_SHARE + dead * (1.0 - HEAD_START_SHARE));
         }
         hand_over(&patches, &mut seams, &forest, level as u8);
         counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
     collect(&patches, input, forest, counts)
-}
-
-/// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
-fn mean_area(input: &UnisonInput) -> f32 {
-    const BLOCK: usize = 1 << 14;
-    let area = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| glam::IVec3::from_array(input.positions[v as usize]).as_dvec3());
-        (b - a).cross(c - a).length()
-    };
-    let blocks: Vec<f64> = input.triangles.par_chunks(BLOCK).map(|b| b.iter().map(area).sum()).collect();
-    (blocks.iter().sum::<f64>() * 3.0 / input.positions.len() as f64).max(1.0) as f32
 }
 
 fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
@@ -222,9 +203,7 @@ struct Search {
 }
 
 impl Search {
-    /// Starts at the cost that a fifth of the movable vertices stay below.
-    fn new(patches: &[Mutex<Patch>], positions: &[[i32; 3]]) -> Self {
-        let limit = cost_of_rank(patches, positions.len() / 5).unwrap_or(0.0);
+    fn new(positions: &[[i32; 3]]) -> Self {
         let (mut lo, mut hi) = ([i32::MAX; 3], [i32::MIN; 3]);
         for p in positions {
             for k in 0..3 {
@@ -234,7 +213,7 @@ impl Search {
         }
         let diagonal: f32 = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
         Search {
-            limit: limit.max(diagonal * FIRST_LIMIT).max(f32::MIN_POSITIVE),
+            limit: (diagonal * FIRST_LIMIT).max(f32::MIN_POSITIVE),
             end: diagonal,
             diagonal,
             last: None,
@@ -246,6 +225,11 @@ impl Search {
         }
     }
 
+    /// Starts at the cost that `rank` collapses stay below.
+    fn begin(&mut self, patches: &[Mutex<Patch>], rank: usize) {
+        self.limit = cost_of_rank(patches, rank).unwrap_or(0.0).max(self.limit);
+    }
+
     /// Sets how far the limit may rise at a level. On smooth surfaces it rises by the squared ratio.
     fn start_level(&mut self, level: usize, ratio: f64, count: f64) {
         let natural = match level {
@@ -254,6 +238,9 @@ impl Search {
         };
         let always = f64::from(self.diagonal) * (FREE_ERROR * ratio.powi(level as i32)).powi(2);
         (self.start, self.progress, self.stalled) = (count, (self.limit, f64::INFINITY), false);
+        if level == 0 {
+            (self.last, self.idle) = (None, false);
+        }
         self.end = (natural.max(always) as f32).min(self.diagonal);
     }
 
@@ -301,138 +288,6 @@ fn cost_of_rank(patches: &[Mutex<Patch>], rank: usize) -> Option<f32> {
     let mut costs: Vec<f32> = patches.par_iter().flat_map_iter(sampled).collect();
     let rank = rank / step;
     (rank < costs.len()).then(|| *costs.select_nth_unstable_by(rank, f32::total_cmp).1)
-}
-
-/// The positions of every cluster, ascending, and where to find one among them.
-struct Members {
-    clusters: Vec<Vec<u32>>,
-    /// Place of each position that only one cluster uses; of others, in the last one.
-    place: Vec<u32>,
-}
-
-impl Members {
-    fn new(input: &UnisonInput) -> Self {
-        let mut clusters = vec![Vec::new(); input.segmentation.len()];
-        let mut place = vec![0; input.positions.len()];
-        for v in 0..input.positions.len() as u32 {
-            let around = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]);
-            let alone = matches!(input.kinds[v as usize], Kind::Inner | Kind::Open);
-            for c in around.take(if alone { 1 } else { usize::MAX }) {
-                let list: &mut Vec<u32> = &mut clusters[c as usize];
-                if list.last() != Some(&v) {
-                    place[v as usize] = list.len() as u32;
-                    list.push(v);
-                }
-            }
-        }
-        Members { clusters, place }
-    }
-
-    /// Local index of position `v` in cluster `c`, which uses it.
-    fn local(&self, c: u32, v: u32) -> u32 {
-        let list = &self.clusters[c as usize];
-        match self.place[v as usize] {
-            guess if list.get(guess as usize) == Some(&v) => guess,
-            _ => list.binary_search(&v).expect("a position of the cluster") as u32,
-        }
-    }
-}
-
-fn patch_input(input: &UnisonInput, members: &Members, mean_area: f32, c: u32) -> PatchInput {
-    let triangles = input.segmentation.cluster(c as usize);
-    let global = members.clusters[c as usize].clone();
-    let origin = input.positions[global[0] as usize];
-    let positions = global.iter().map(|&v| {
-        let p = input.positions[v as usize];
-        Vec3::from_array(std::array::from_fn(|k| (i64::from(p[k]) - i64::from(origin[k])) as f32))
-    });
-    let (mut shared_start, mut shared) = (vec![0], Vec::new());
-    for &v in &global {
-        if matches!(input.kinds[v as usize], Kind::Border | Kind::Locked) {
-            let mut others: Vec<u32> = input.fans.around(v).iter().map(|&t| input.cluster_of[t as usize]).collect();
-            others.retain(|&o| o != c);
-            others.sort_unstable();
-            others.dedup();
-            shared.extend(others);
-        }
-        shared_start.push(shared.len() as u32);
-    }
-    let positions: Vec<Vec3> = positions.collect();
-    let local: Vec<[u32; 3]> =
-        triangles.iter().map(|&t| input.triangles[t as usize].map(|v| members.local(c, v))).collect();
-    PatchInput {
-        charts: input.texture.as_ref().map(|uv| Charts::new(uv, c, triangles, &local, &positions)),
-        triangles: local,
-        kinds: global.iter().map(|&v| input.kinds[v as usize]).collect(),
-        normals: global.iter().map(|&v| input.normals[v as usize]).collect(),
-        components: small_components(&global, &input.segmentation.components, &positions, &shared_start),
-        positions,
-        mean_area,
-        shared_start,
-        shared,
-        global,
-    }
-}
-
-/// Components that no other cluster touches, largest first, with the cost at which they vanish. The largest
-/// one of a cluster stays.
-fn small_components(
-    global: &[u32],
-    component: &[u32],
-    positions: &[Vec3],
-    shared_start: &[u32],
-) -> Vec<(f32, Vec<u32>)> {
-    if global.iter().all(|&v| component[v as usize] == component[global[0] as usize]) {
-        return Vec::new();
-    }
-    let mut members: Vec<(u32, u32)> =
-        global.iter().enumerate().map(|(i, &v)| (component[v as usize], i as u32)).collect();
-    members.sort_unstable();
-    let mut list: Vec<(f32, Vec<u32>)> = members
-        .chunk_by(|a, b| a.0 == b.0)
-        .filter(|group| group.iter().all(|m| shared_start[m.1 as usize] == shared_start[m.1 as usize + 1]))
-        .map(|group| {
-            let points = || group.iter().map(|m| positions[m.1 as usize]);
-            let (lo, hi) = points().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| (b.0.min(p), b.1.max(p)));
-            ((hi - lo).length_squared() * VANISH_SHARE, group.iter().map(|m| m.1).collect())
-        })
-        .collect();
-    list.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1[0].cmp(&b.1[0])));
-    list.drain(..usize::from(!list.is_empty()));
-    list
-}
-
-/// The borders between two clusters, ascending by clusters.
-fn build_seams(input: &UnisonInput, members: &Members) -> Vec<Seam> {
-    let mut ends: Vec<([u32; 2], u32)> = (0..input.positions.len() as u32)
-        .into_par_iter()
-        .filter(|&v| input.kinds[v as usize] == Kind::Border)
-        .map(|v| (border_pair(v, input.cluster_of, input.fans), v))
-        .collect();
-    ends.par_sort_unstable();
-    ends.chunk_by(|a, b| a.0 == b.0)
-        .map(|group| {
-            let clusters = group[0].0;
-            let local = |k: usize, v: u32| members.local(clusters[k], v);
-            Seam::new(clusters, group.iter().map(|&(_, v)| [local(0, v), local(1, v)]).collect())
-        })
-        .collect()
-}
-
-/// Groups in which no cluster occurs twice (greedy edge colouring): these may move at the same time.
-fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
-    let mut groups: Vec<(std::collections::BTreeSet<u32>, Vec<Seam>)> = Vec::new();
-    for s in seams {
-        let [a, b] = s.clusters;
-        let free = groups.iter().position(|g| !g.0.contains(&a) && !g.0.contains(&b));
-        let at = free.unwrap_or_else(|| {
-            groups.push(Default::default());
-            groups.len() - 1
-        });
-        groups[at].0.extend([a, b]);
-        groups[at].1.push(s);
-    }
-    groups.into_iter().map(|g| g.1).collect()
 }
 
 /// Hands the collapses of a level over to the forest; what is left of patches and seams is moved together.

@@ -142,6 +142,21 @@ impl Patch {
         self.alive
     }
 
+    /// Vertices, those that died since the last hand-over included.
+    pub fn size(&self) -> usize {
+        self.living.len()
+    }
+
+    /// Vertices that move without asking another patch, whether they live or not.
+    pub fn movable(&self) -> usize {
+        self.input.kinds.iter().filter(|k| matches!(k, Kind::Inner | Kind::Open)).count()
+    }
+
+    /// The local number of position `v`, which is one of this cluster's and was not forgotten.
+    pub fn local(&self, v: u32) -> u32 {
+        self.input.global.binary_search(&v).expect("a position of the cluster") as u32
+    }
+
     /// Does the vertex still live? Not if it is none.
     pub fn is_alive(&self, v: u32) -> bool {
         self.living.get(v as usize).is_some_and(|l| *l)
