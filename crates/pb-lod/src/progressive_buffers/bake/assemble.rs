@@ -5,13 +5,14 @@ use super::charting::Tiles;
 use super::grid::Grid;
 use super::levels::LevelErrors;
 use super::surface::Surface;
-use super::{Clusters, Outside, Stage, for_clusters};
+use super::{Clusters, Outside, Stage, for_clusters_with};
 use crate::progressive_buffers::hierarchy;
 use crate::progressive_buffers::layout::*;
 use crate::progressive_buffers::model::{FLAG_COLORS, FLAG_INSTANCES};
 use crate::progressive_buffers::write::BakedModel;
 use glam::DVec3;
 use pb_archive::ArchiveError;
+use pb_mesh::numbering::Numbering;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 use rayon::prelude::*;
@@ -56,7 +57,7 @@ pub(super) fn assemble(input: &Finished, outside: &Outside) -> Result<(BakedMode
         uv: input.tiles.map(|t| Coordinates { corners: &t.corners, uv: &t.uv }),
         levels,
     };
-    let build = |new: usize| {
+    let build = |numbering: &mut Numbering, new: usize| {
         let old = hierarchy.order[new] as usize;
         let list = &neighbours[firsts[new] as usize..firsts[new + 1] as usize];
         let slot_of = |v: u32| {
@@ -69,10 +70,11 @@ pub(super) fn assemble(input: &Finished, outside: &Outside) -> Result<(BakedMode
             shift: grid.shifts[old],
             slot_of: &slot_of,
         };
-        outside.try_kept("geometry", new as u32, || buffers::build(&source, &place, outside.spill))
+        outside.try_kept("geometry", new as u32, || buffers::build(&source, &place, numbering, outside.spill))
     };
+    let numbering = || Numbering::new(grid.points.len());
     let built: Result<Vec<_>, ArchiveError> =
-        for_clusters(count, &|x| (outside.progress)(Stage::Pack, x), build).into_iter().collect();
+        for_clusters_with(count, &|x| (outside.progress)(Stage::Pack, x), numbering, build).into_iter().collect();
     let (mut level_records, mut chunks) = (Vec::with_capacity(count * levels), Vec::with_capacity(count * levels));
     for (new, (mut records, packed)) in built?.into_iter().enumerate() {
         for (level, r) in records.iter_mut().enumerate() {

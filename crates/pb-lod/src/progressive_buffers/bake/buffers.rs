@@ -5,6 +5,7 @@ use crate::progressive_buffers::layout::{LevelRecord, SLOT_NONE, Vertex};
 use crate::progressive_buffers::write::EncodedChunk;
 use pb_archive::{ArchiveError, Spill};
 use pb_mesh::mesh::Wedge;
+use pb_mesh::numbering::Numbering;
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::Kind;
 
@@ -45,13 +46,14 @@ pub(super) struct Place<'a> {
     pub slot_of: &'a (dyn Fn(u32) -> u8 + Sync),
 }
 
-/// Level records (error still 0) and packed chunks of one cluster, finest first.
+/// Level records (error still 0) and packed chunks of one cluster, finest first. `numbering` is one for all positions.
 pub(super) fn build(
     source: &Source,
     place: &Place,
+    numbering: &mut Numbering,
     spill: &Spill,
 ) -> Result<(Vec<LevelRecord>, Vec<EncodedChunk>), ArchiveError> {
-    let local = Local::new(source, place.triangles);
+    let local = Local::new(source, place.triangles, numbering);
     let (order, starts, index_buffers) = local.number(source.levels);
     let vertices = local.vertices(source, place, &order);
     let mut records = Vec::with_capacity(source.levels);
@@ -90,18 +92,35 @@ struct Local {
 }
 
 impl Local {
-    fn new(source: &Source, triangles: &[u32]) -> Self {
+    fn new(source: &Source, triangles: &[u32], places: &mut Numbering) -> Self {
         let corners = |&t: &u32| source.records(t as usize);
-        let mut records: Vec<Record> = triangles.iter().flat_map(corners).collect();
-        records.sort_unstable();
-        records.dedup();
-        let positions: Vec<u32> = records.iter().map(|r| source.wedges[r.0 as usize].position).collect();
-        let local = |r: Record| records.binary_search(&r).expect("collected above") as u32;
-        let parents = (0..records.len()).map(|i| parent_record(source, &records, &positions, i)).collect();
+        let position = |r: Record| source.wedges[r.0 as usize].position;
+        places.assign(triangles.iter().flat_map(corners).map(position));
+        let mut records: Vec<Record>;
+        if source.uv.is_none() && source.wedges.len() == source.points.len() {
+            records = places.items().map(|p| (p, 0)).collect();
+        } else {
+            records = triangles.iter().flat_map(corners).collect();
+            records.sort_unstable();
+            records.dedup();
+        }
+        let positions: Vec<u32> = records.iter().map(|&r| position(r)).collect();
+        let mut starts = Vec::with_capacity(places.len() + 1);
+        starts.extend((0..records.len()).filter(|&i| i == 0 || positions[i] != positions[i - 1]));
+        starts.push(records.len());
+        let at = |position: u32| {
+            let place = places.of(position) as usize;
+            starts[place]..starts[place + 1]
+        };
+        let local = |r: Record| at(position(r)).find(|&i| records[i] == r).expect("collected above") as u32;
+        let parent = |i: usize| match source.collapses.parent[positions[i] as usize] {
+            own if own == positions[i] => i as u32,
+            parent => parent_record(source, &records, i, at(parent)),
+        };
         Local {
             triangles: triangles.iter().map(|t| corners(t).map(local)).collect(),
             last_level: positions.iter().map(|&p| source.collapses.last_level[p as usize]).collect(),
-            parents,
+            parents: (0..records.len()).map(parent).collect(),
             positions,
             records,
         }
@@ -117,9 +136,22 @@ impl Local {
     /// Triangles of every level, finest first.
     fn level_triangles(&self, levels: usize) -> Vec<Vec<[u32; 3]>> {
         let mut list = vec![self.triangles.clone()];
+        // Ancestors so far: every walk leaves them one step away.
+        let mut up = self.parents.clone();
         for level in 1..levels as u8 {
             let finer = list.last().expect("level 0 is there");
-            let coarse = finer.iter().map(|t| t.map(|v| self.ancestor(v, level)));
+            let mut ancestor = |v: u32| {
+                let dead = |v: u32| self.last_level[v as usize] < level;
+                let (mut root, mut at) = (v, v);
+                while dead(root) {
+                    root = up[root as usize];
+                }
+                while dead(at) {
+                    at = std::mem::replace(&mut up[at as usize], root);
+                }
+                root
+            };
+            let coarse = finer.iter().map(|t| t.map(&mut ancestor));
             let p = |v: u32| self.positions[v as usize];
             let coarse = coarse.filter(|t| p(t[0]) != p(t[1]) && p(t[1]) != p(t[2]) && p(t[2]) != p(t[0])).collect();
             list.push(coarse);
@@ -207,14 +239,12 @@ impl Source<'_> {
     }
 }
 
-/// Local index of the record that local record `i` becomes when its position collapses: of those that the cluster has
-/// at the parent position, and of its UV wedge's parent, the one with the most similar normal and colour.
-fn parent_record(source: &Source, records: &[Record], positions: &[u32], i: usize) -> u32 {
-    let parent = source.collapses.parent[positions[i] as usize];
-    if parent == positions[i] {
-        return i as u32;
+/// Local index of the record that local record `i` becomes when its position collapses: of `candidates`, those that the
+/// cluster has at the parent position, and of its UV wedge's parent, the one with the most similar normal and colour.
+fn parent_record(source: &Source, records: &[Record], i: usize, candidates: std::ops::Range<usize>) -> u32 {
+    if candidates.len() == 1 && source.uv.is_none() {
+        return candidates.start as u32;
     }
-    let from = positions.partition_point(|&p| p < parent);
     let (own, uv_wedge) = records[i];
     let own = &source.wedges[own as usize];
     let uv_parent = source.uv.map(|_| source.collapses.wedge_parent[uv_wedge as usize]);
@@ -223,7 +253,6 @@ fn parent_record(source: &Source, records: &[Record], positions: &[u32], i: usiz
         let tint = (0..4).map(|k| ((f32::from(w.color[k]) - f32::from(own.color[k])) / 255.0).powi(2)).sum::<f32>();
         bend + tint
     };
-    let candidates = (from..positions.len()).take_while(|&j| positions[j] == parent);
     candidates
         .filter(|&j| uv_parent.is_none_or(|uv| records[j].1 == uv))
         .min_by(|&a, &b| {

@@ -290,8 +290,18 @@ fn for_clusters<T: Send>(
     progress: &(dyn Fn(f32) + Sync),
     job: impl Fn(usize) -> T + Sync + Send,
 ) -> Vec<T> {
+    for_clusters_with(count, progress, || (), |_, c| job(c))
+}
+
+/// The same with something that a thread keeps from one cluster to the next.
+fn for_clusters_with<K, T: Send>(
+    count: usize,
+    progress: &(dyn Fn(f32) + Sync),
+    keep: impl Fn() -> K + Sync + Send,
+    job: impl Fn(&mut K, usize) -> T + Sync + Send,
+) -> Vec<T> {
     let share = share_of(count, progress);
-    (0..count).into_par_iter().map(|c| share(job(c))).collect()
+    (0..count).into_par_iter().map_init(keep, |kept, c| share(job(kept, c))).collect()
 }
 
 /// Counts what passes through, and tells which share of `count` that is.
