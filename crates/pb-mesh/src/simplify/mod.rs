@@ -15,6 +15,7 @@ mod head_start;
 mod legal;
 mod patch;
 mod quadric;
+mod queue;
 mod slide;
 mod stretch;
 mod vanish;

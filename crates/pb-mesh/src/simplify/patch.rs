@@ -8,15 +8,16 @@ use super::charts::Charts;
 use super::corner_lists::{CornerLists, NONE};
 use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, dot};
 use super::quadric::Quadric;
+use super::queue::Queue;
 use crate::topology::Kind;
 use glam::{Vec3, Vec4};
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
 
 /// Weight of the plane that stands on an open border edge, times the squared edge length.
 const OPEN_BORDER_WEIGHT: f32 = 10.0;
 /// Weight of the bend of normals along a collapse: the appearance term, in squared edge lengths.
 const NORMAL_WEIGHT: f32 = 1.0 / 256.0;
+/// A round that has more than this fraction (1/n) of the vertices queued is worth [`Patch::warm_up`].
+const WARM_SHARE: usize = 16;
 /// Marks count to this per gathering: room for the triangles on one edge.
 pub(super) const EPOCH: u32 = 4;
 /// Weight of plain edge length: orders collapses where the surface is flat.
@@ -76,9 +77,7 @@ pub(super) struct Patch {
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
     /// Collapses of this round.
-    queue: BinaryHeap<Reverse<(u32, u32)>>,
-    /// Most that they may cost.
-    limit: f32,
+    pub(super) queue: Queue,
     pub(super) corners: CornerLists,
     pub(super) marks: Vec<u32>,
     pub(super) epoch: u32,
@@ -110,8 +109,7 @@ impl Patch {
             quadrics: vec![Quadric::default(); n],
             scales: Vec::new(),
             best: vec![(f32::INFINITY, NONE); n],
-            queue: BinaryHeap::new(),
-            limit: f32::NEG_INFINITY,
+            queue: Queue::default(),
             corners: CornerLists::new(n, &input.triangles, input.charts.is_some()),
             marks: vec![0; n],
             epoch: 0,
@@ -307,8 +305,11 @@ impl Patch {
 
     /// The candidate that seems cheapest, and its place.
     fn cheapest_candidate(&self) -> Option<(usize, Candidate)> {
-        let first = self.candidates.iter().enumerate().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
-        first.filter(|(_, c)| c.cost < f32::INFINITY).map(|(i, c)| (i, *c))
+        // Costs are not negative, so their bits are in the order of their values; a minimum of numbers needs no branch.
+        let key = |(i, c): (usize, &Candidate)| u64::from(c.cost.to_bits()) << 32 | i as u64;
+        let i = self.candidates.iter().enumerate().map(key).min()? as u32 as usize;
+        let first = self.candidates[i];
+        (first.cost < f32::INFINITY).then_some((i, first))
     }
 
     /// The candidate with what the next question adds to its cost.
@@ -322,32 +323,44 @@ impl Patch {
 
     fn enqueue(&mut self, v: u32, best: (f32, u32)) {
         self.best[v as usize] = best;
-        if best.0 <= self.limit {
-            self.queue.push(Reverse((best.0.to_bits(), v)));
-        }
+        self.queue.push(best.0, v);
     }
 
     /// Collapses inside the cluster, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
     pub fn collapse_interior(&mut self, limit: f32, quota: usize) -> usize {
-        let mut entries = std::mem::take(&mut self.queue).into_vec();
-        entries.clear();
-        let below = (0..self.best.len() as u32).filter(|&v| self.best[v as usize].0 <= limit && self.moves_alone(v));
-        entries.extend(below.map(|v| Reverse((self.best[v as usize].0.to_bits(), v))));
-        self.queue = BinaryHeap::from(entries);
-        self.limit = limit;
-        let mut count = 0;
-        while let Some(Reverse((bits, v))) = self.queue.pop().filter(|_| count < quota) {
-            if self.moves_alone(v) && self.best[v as usize].0.to_bits() == bits {
-                count += self.collapse_vertex(v) as usize;
+        self.queue.restart(limit);
+        for v in 0..self.best.len() as u32 {
+            if self.best[v as usize].0 <= limit && self.moves_alone(v) {
+                self.queue.push(self.best[v as usize].0, v);
             }
         }
-        self.limit = f32::NEG_INFINITY;
+        if self.queue.len() * WARM_SHARE > self.living.len() {
+            self.warm_up();
+        }
+        let mut count = 0;
+        while count < quota
+            && let Some((cost, v)) = self.queue.pop()
+        {
+            if self.moves_alone(v) && self.best[v as usize].0 == cost {
+                count += self.collapse_vertex(v, limit) as usize;
+            }
+        }
+        self.queue.stop();
         count
     }
 
+    /// Reads what a round touches at random once from front to back, which costs a small part of that when it is not in the
+    /// cache.
+    fn warm_up(&self) {
+        let quadrics: f32 = self.quadrics.iter().map(|q| q.weight).sum();
+        let vectors = [&self.input.positions, &self.input.normals, &self.witness];
+        let vectors: f32 = vectors.into_iter().map(|list| list.iter().step_by(4).map(|v| v.x).sum::<f32>()).sum();
+        std::hint::black_box((quadrics, vectors, self.corners.warm_up()));
+    }
+
     /// Collapses `v` onto its cheapest legal neighbour, or queues it again when that is not its turn yet.
-    fn collapse_vertex(&mut self, v: u32) -> bool {
-        let next = self.queue.peek().map_or(self.limit, |t| f32::from_bits(t.0.0));
+    fn collapse_vertex(&mut self, v: u32, limit: f32) -> bool {
+        let next = self.queue.next_cost().unwrap_or(limit);
         let (cost, u) = self.best[v as usize];
         let due = cost.max(next);
         self.spread(v);
