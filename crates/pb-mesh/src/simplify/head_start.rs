@@ -17,13 +17,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Clusters that the limit is found with, at least; every so many-th.
 const SAMPLED: usize = 24;
 /// The limit leaves this share of what is to die at the first level: the borders, which wait meanwhile, are to take part.
-const LEFT: f64 = 0.2;
+const LEFT: f64 = 0.07;
 /// Rounds over the sampled clusters at most.
 const MAX_ROUNDS: usize = 16;
 /// The sampled clusters are ahead far enough within this factor.
 const TOLERANCE: f64 = 1.05;
 
-/// Sets up all clusters, and collapses insides under one limit, which `search` has afterwards. No cluster goes below the
+/// Sets up all clusters, and collapses their insides under one limit, which `search` has afterwards. No cluster goes below the
 /// first level's share of what moves in it, so all of them together stay above that level wherever the samples mislead.
 /// Also returns how many positions died.
 pub(super) fn patches(
@@ -70,7 +70,7 @@ fn find_limit(samples: &[Mutex<Patch>], search: &mut Search, ratio: f64) -> usiz
     let target = all - movable * (1.0 - 1.0 / ratio) * (1.0 - LEFT);
     search.begin(samples, (movable / ratio) as usize);
     search.start_level(0, ratio, all);
-    let mut died = 0;
+    let (mut died, mut useful) = (0, search.limit);
     for round in 0..MAX_ROUNDS {
         let alive = all - died as f64;
         if alive <= target * TOLERANCE || search.exhausted() {
@@ -79,16 +79,25 @@ fn find_limit(samples: &[Mutex<Patch>], search: &mut Search, ratio: f64) -> usiz
         if round > 0 {
             search.advance(samples, alive, target);
         }
-        died += samples.par_iter().map(|p| run_ahead(&mut lock(p), search.limit, ratio)).sum::<usize>();
+        let more: usize = samples.par_iter().map(|p| run_ahead(&mut lock(p), search.limit, ratio)).sum();
+        died += more;
         search.record(all - died as f64);
+        if more == 0 {
+            // Higher limits are no use, and would only let others go too far.
+            search.limit = useful;
+            break;
+        }
+        useful = search.limit;
     }
     died
 }
 
-/// Collapses inside a cluster; returns how many.
+/// Collapses inside a cluster, and lets its small components vanish; returns how many vertices died.
 fn run_ahead(patch: &mut Patch, limit: f32, ratio: f64) -> usize {
     let floor = patch.size() - (patch.movable() as f64 * (1.0 - 1.0 / ratio)) as usize;
-    patch.collapse_interior(limit, patch.alive().saturating_sub(floor))
+    let quota = (patch.alive() - patch.point_count()).saturating_sub(floor);
+    let collapsed = patch.collapse_interior(limit, quota);
+    collapsed + patch.vanish(limit, quota - collapsed)
 }
 
 /// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.
