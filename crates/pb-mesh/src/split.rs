@@ -1,41 +1,86 @@
 //! Splitting: a mesh that is no manifold becomes one by giving its sheets positions of their own.
 //!
 //! At an edge with more than two triangles, opposite half-edges are paired, the pair with the narrowest solid
-//! between them first, so that touching solids part; what is left over becomes an open border (after Gueziec et al. 2001, "Cutting and stitching"). Then every position whose
-//! triangles form several fans gets one copy per fan. The surface does not move; sheets that only touched may part by
-//! a level's error when they are simplified.
+//! between them first, so that touching solids part; what is left over becomes an open border (after Gueziec et al. 2001,
+//! "Cutting and stitching"). Then every position whose triangles form several fans gets one copy per fan. Where one fan
+//! comes by the same edge twice, copies do not help: the sheets that come later get a position in the middle of the edge.
+//! The surface does not move; sheets that only touched may part by a level's error when they are simplified.
 
 use crate::mesh::{Mesh, Wedge};
 use crate::topology::{Fans, Kind, classify};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// Gives every fan of every position its own position. Returns how many positions were added.
+/// Makes every position's triangles one disc or half disc. Returns how many positions were added.
 ///
-/// Afterwards `mesh.positions` may hold equal positions; all else that [`Mesh`] promises stays true.
+/// Afterwards `mesh.positions` may hold equal positions, and there may be more triangles; all else that [`Mesh`] promises
+/// stays true.
 pub fn split_non_manifold(mesh: &mut Mesh) -> u64 {
-    let triangles: Vec<[u32; 3]> = (0..mesh.triangles.len()).map(|t| mesh.corner_positions(t)).collect();
-    let fans = Fans::new(mesh.positions.len(), &triangles);
-    let (kinds, broken) = classify(&triangles, &vec![0; triangles.len()], &fans, mesh.positions.len());
-    if broken == 0 {
+    let before = mesh.positions.len();
+    let broken = Broken::of(mesh);
+    if broken.positions.is_empty() {
         return 0;
     }
-    let broken: Vec<u32> = (0..mesh.positions.len() as u32).filter(|&v| kinds[v as usize] == Kind::Locked).collect();
-    let links = pair_half_edges(mesh, &triangles, &fans, &broken);
-    let before = mesh.positions.len();
+    part_fans(mesh, &broken);
+    part_edges(mesh, &Broken::of(mesh));
+    (mesh.positions.len() - before) as u64
+}
+
+/// The places where a mesh is no manifold.
+struct Broken {
+    /// Position indices of all triangles.
+    triangles: Vec<[u32; 3]>,
+    fans: Fans,
+    positions: Vec<u32>,
+    links: Links,
+}
+
+impl Broken {
+    fn of(mesh: &Mesh) -> Broken {
+        let triangles: Vec<[u32; 3]> = (0..mesh.triangles.len()).map(|t| mesh.corner_positions(t)).collect();
+        let fans = Fans::new(mesh.positions.len(), &triangles);
+        let (kinds, count) = classify(&triangles, &vec![0; triangles.len()], &fans, mesh.positions.len());
+        let used = |v: u32| !fans.around(v).is_empty();
+        let positions: Vec<u32> = match count {
+            0 => Vec::new(),
+            _ => (0..kinds.len() as u32).filter(|&v| kinds[v as usize] == Kind::Locked && used(v)).collect(),
+        };
+        let links = pair_half_edges(mesh, &triangles, &fans, &positions);
+        Broken { triangles, fans, positions, links }
+    }
+}
+
+/// Gives every fan of every position its own position.
+fn part_fans(mesh: &mut Mesh, broken: &Broken) {
     let mut moved: Vec<(u32, u32, u32)> = Vec::new();
-    for &v in &broken {
-        for fan in fans_of(v, fans.around(v), &triangles, &links).into_iter().skip(1) {
-            let copy = mesh.positions.len() as u32;
-            mesh.positions.push(mesh.positions[v as usize]);
-            if !mesh.objects.of.is_empty() {
-                mesh.objects.of.push(mesh.objects.of[v as usize]);
-            }
+    for &v in &broken.positions {
+        for fan in fans_of(v, broken.fans.around(v), &broken.triangles, &broken.links).into_iter().skip(1) {
+            let copy = mesh.add_position(v, mesh.positions[v as usize]);
             moved.extend(fan.into_iter().map(|t| (copy, t, v)));
         }
     }
     move_corners(mesh, &moved);
-    (mesh.positions.len() - before) as u64
+}
+
+/// Gives all but the first of the sheets at an edge, pairs of triangles or single ones, a position in its middle.
+fn part_edges(mesh: &mut Mesh, broken: &Broken) {
+    // Where the pieces of a triangle that was cut are.
+    let mut pieces: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (&[a, b], pairs) in &broken.links {
+        let at_edge = broken.fans.around(a).iter().filter(|&&t| broken.triangles[t as usize].contains(&b));
+        let single = at_edge.filter(|t| !pairs.iter().any(|p| p.contains(t))).map(|&t| vec![t]);
+        let sheets = pairs.iter().map(|p| p.to_vec()).chain(single);
+        for sheet in sheets.skip(1) {
+            let ends = [a, b].map(|v| mesh.positions[v as usize]);
+            let middle = mesh.add_position(a, std::array::from_fn(|k| ends[0][k] * 0.5 + ends[1][k] * 0.5));
+            for t in sheet {
+                let list = pieces.entry(t).or_insert_with(|| vec![t]);
+                let has_edge = |&t: &u32| [a, b].iter().all(|v| mesh.corner_positions(t as usize).contains(v));
+                let piece = *list.iter().find(|t| has_edge(t)).expect("cuts leave the other edges whole");
+                list.push(mesh.cut_triangle(piece, [a, b], middle));
+            }
+        }
+    }
 }
 
 /// For each (triangle, neighbour) across an edge at a broken position: the pairs of triangles that stay joined, by edge.
@@ -143,6 +188,51 @@ fn move_corners(mesh: &mut Mesh, moved: &[(u32, u32, u32)]) {
 }
 
 impl Mesh {
+    /// A new position of the object that `like` belongs to.
+    fn add_position(&mut self, like: u32, at: [f64; 3]) -> u32 {
+        self.positions.push(at);
+        if !self.objects.of.is_empty() {
+            self.objects.of.push(self.objects.of[like as usize]);
+        }
+        self.positions.len() as u32 - 1
+    }
+
+    /// Cuts a triangle from the middle of an edge, the last position, to the opposite corner; returns the new triangle.
+    fn cut_triangle(&mut self, triangle: u32, edge: [u32; 2], middle: u32) -> u32 {
+        let (corners, positions) = (self.triangles[triangle as usize], self.corner_positions(triangle as usize));
+        let from = (0..3).find(|&k| !edge.contains(&positions[(k + 2) % 3])).expect("an edge leaves one corner out");
+        let to = (from + 1) % 3;
+        let [a, b] = [from, to].map(|k| &self.wedges[corners[k] as usize]);
+        let sum = glam::Vec3::from_array(a.normal) + glam::Vec3::from_array(b.normal);
+        let mean = |k: usize| ((u16::from(a.color[k]) + u16::from(b.color[k])) / 2) as u8;
+        let wedge = Wedge {
+            position: middle,
+            normal: sum.try_normalize().map_or(a.normal, |n| n.to_array()),
+            color: std::array::from_fn(mean),
+        };
+        let known = self.wedges.iter().rposition(|w| w.position != middle).map_or(0, |last| last + 1);
+        let known = (known..self.wedges.len()).find(|&w| self.wedges[w] == wedge);
+        let wedge = known.unwrap_or_else(|| {
+            self.wedges.push(wedge);
+            self.wedges.len() - 1
+        }) as u32;
+        let mut second = corners;
+        second[from] = wedge;
+        self.triangles.push(second);
+        self.triangles[triangle as usize][to] = wedge;
+        if let Some(texturing) = &mut self.texturing {
+            texturing.material_of.push(texturing.material_of[triangle as usize]);
+            for set in &mut texturing.corner_uvs {
+                let mut second = set[triangle as usize];
+                let half = std::array::from_fn(|k| (second[from][k] + second[to][k]) * 0.5);
+                second[from] = half;
+                set[triangle as usize][to] = half;
+                set.push(second);
+            }
+        }
+        self.triangles.len() as u32 - 1
+    }
+
     /// Which corner of `triangle` lies at position `v`, by the growing list of (position, original wedge).
     fn corner_positions_of(&self, triangle: u32, records: &[(u32, u32)], v: u32) -> usize {
         let corners = self.triangles[triangle as usize];
@@ -153,6 +243,7 @@ impl Mesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Mesh {
         let wedge = |i| Wedge { position: i, normal: [0.0, 0.0, 1.0], color: [255; 4] };
@@ -195,6 +286,53 @@ mod tests {
         let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
         let mut m = mesh(&positions, &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
         assert_eq!((split_non_manifold(&mut m), broken(&m)), (2, 0));
+    }
+
+    #[test]
+    fn a_fan_that_comes_by_an_edge_twice_gets_a_position_in_its_middle() {
+        // A tetrahedron, and a flap whose inside angle with one side of the edge is smaller than the tetrahedron's.
+        let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.5, 0.1], [0.5, 1.0, 0.0], [0.5, 0.0, 1.0]];
+        let mut m = mesh(&positions, &[[0, 1, 2], [1, 0, 3], [0, 1, 4], [0, 4, 3], [1, 3, 4]]);
+        let places = Broken::of(&m);
+        part_fans(&mut m, &places);
+        assert_eq!((broken(&m), m.triangles.len()), (2, 5), "copies do not help");
+        assert_eq!((split_non_manifold(&mut m), broken(&m), m.triangles.len()), (1, 0, 6));
+        assert_eq!(m.positions[5], [0.5, 0.0, 0.0]);
+    }
+
+    fn area(mesh: &Mesh) -> f64 {
+        let triangle = |t: usize| {
+            let [a, b, c] = mesh.corner_positions(t).map(|v| DVec3::from_array(mesh.positions[v as usize]));
+            (b - a).cross(c - a).length() * 0.5
+        };
+        (0..mesh.triangles.len()).map(triangle).sum()
+    }
+
+    proptest! {
+        /// Whatever meets at edges and corners, in whatever orientation.
+        #[test]
+        fn anything_becomes_a_manifold_of_the_same_area(
+            triangles in prop::collection::vec((0..7u32, 1..6u32, 1..6u32), 1..24),
+        ) {
+            let mut seen = std::collections::BTreeSet::new();
+            let triangles: Vec<[u32; 3]> = triangles
+                .into_iter()
+                .map(|(a, b, c)| [a, (a + b) % 7, (a + c) % 7])
+                .filter(|t| {
+                    let mut sorted = *t;
+                    sorted.sort_unstable();
+                    t[1] != t[2] && seen.insert(sorted)
+                })
+                .collect();
+            let positions: Vec<[f64; 3]> =
+                (0..7).map(|i| [i as f64, (i * i % 5) as f64, (i * i * i % 7) as f64]).collect();
+            let mut m = mesh(&positions, &triangles);
+            let before = area(&m);
+            split_non_manifold(&mut m);
+            prop_assert_eq!(broken(&m), 0);
+            prop_assert!((area(&m) - before).abs() <= 1e-9 * before);
+            prop_assert!(m.wedges.is_sorted_by_key(|w| w.position));
+        }
     }
 
     #[test]
