@@ -157,12 +157,15 @@ fn triangular_holes_close_instead_of_stopping_the_simplification() {
     });
     let holes = near_hole.iter().filter(|&&n| n).count() / 3;
     assert!(holes > 300, "{holes} holes");
-    let b = run(&positions, &triangles, 100_000, 5, 4.0);
-    for l in 0..5u8 {
-        assert!(edge_counts(&b, l).values().all(|n| *n == 1), "level {l} is no manifold");
-        let count = b.collapses.counts[l as usize] as f64;
-        let target = positions.len() as f64 / 4f64.powi(l as i32);
-        assert!(count / target < 1.02, "level {l}: {count} of {target}");
+    // Clusters that are one, and borders of clusters through many of the holes: their corners there never move.
+    for (cluster_triangles, levels, tolerance) in [(100_000, 5, 1.02), (2000, 3, 1.15)] {
+        let b = run(&positions, &triangles, cluster_triangles, 5, 4.0);
+        for l in 0..levels {
+            assert!(edge_counts(&b, l).values().all(|n| *n == 1), "level {l} is no manifold");
+            let count = b.collapses.counts[l as usize] as f64;
+            let target = positions.len() as f64 / 4f64.powi(l as i32);
+            assert!(count / target < tolerance, "level {l}: {count} of {target}");
+        }
     }
 }
 

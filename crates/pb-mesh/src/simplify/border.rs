@@ -1,7 +1,7 @@
 //! Collapses along the border of two clusters, on both sides at once (design I2).
 
 use super::corner_lists::NONE;
-use super::patch::Patch;
+use super::patch::{Patch, scale};
 use crate::topology::Kind;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -188,15 +188,13 @@ fn moves(a: &mut Patch, b: &mut Patch, v: [u32; 2]) -> Vec<Move> {
     list
 }
 
-/// Mean squared distance over the planes of both sides, and the appearance term of the worse one.
+/// What an inner vertex with the planes of both sides would cost, and the appearance term of the worse one.
 fn joint_cost(a: &Patch, b: &Patch, v: [u32; 2], to: [u32; 2]) -> f32 {
     let side = |p: &Patch, v: u32, u: u32| {
         let d = p.input.positions[u as usize] - p.input.positions[v as usize];
-        (p.geometric_cost(v, d), p.appearance_cost(v, u, d))
+        (p.quadrics[v as usize].at(d), p.appearance_cost(v, u, d))
     };
-    let ((mean_a, area_a), bend_a) = side(a, v[0], to[0]);
-    let ((mean_b, area_b), bend_b) = side(b, v[1], to[1]);
-    let area = area_a + area_b;
-    let mean = if area > 0.0 { (mean_a * area_a + mean_b * area_b) / area } else { 0.0 };
-    mean + bend_a.max(bend_b)
+    let ((sum_a, bend_a), (sum_b, bend_b)) = (side(a, v[0], to[0]), side(b, v[1], to[1]));
+    let weight = weights(a, b, v).iter().sum();
+    (sum_a + sum_b) * scale(weight, a.input.mean_area) + bend_a.max(bend_b)
 }

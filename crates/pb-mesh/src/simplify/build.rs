@@ -51,8 +51,8 @@ pub(super) fn patch_input(input: &UnisonInput, numbering: &mut Numbering, mean_a
     }
 }
 
-/// Components that no other cluster touches, largest first, with the cost at which they vanish. The largest
-/// one of a cluster stays.
+/// Components that no other cluster touches, largest first, with the cost at which they vanish. Where a cluster has nothing
+/// else, the largest one stays.
 fn small_components(
     global: &[u32],
     component: &[u32],
@@ -75,7 +75,9 @@ fn small_components(
         })
         .collect();
     list.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1[0].cmp(&b.1[0])));
-    list.drain(..usize::from(!list.is_empty()));
+    if list.iter().map(|(_, vertices)| vertices.len()).sum::<usize>() == global.len() {
+        list.remove(0);
+    }
     list
 }
 

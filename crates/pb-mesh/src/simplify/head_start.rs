@@ -53,7 +53,7 @@ pub(super) fn patches(
         .into_par_iter()
         .map_init(numbering, |n, c| {
             let mut patch = set_up(n, c);
-            died.fetch_add(run_ahead(&mut patch, search.limit, ratio), Ordering::Relaxed);
+            died.fetch_add(run_ahead(&mut patch, search, ratio), Ordering::Relaxed);
             patch.hand_over(forest, 0);
             Mutex::new(patch)
         })
@@ -79,7 +79,7 @@ fn find_limit(samples: &[Mutex<Patch>], search: &mut Search, ratio: f64) -> usiz
         if round > 0 {
             search.advance(samples, alive, target);
         }
-        let more: usize = samples.par_iter().map(|p| run_ahead(&mut lock(p), search.limit, ratio)).sum();
+        let more: usize = samples.par_iter().map(|p| run_ahead(&mut lock(p), search, ratio)).sum();
         died += more;
         search.record(all - died as f64);
         if more == 0 {
@@ -93,11 +93,11 @@ fn find_limit(samples: &[Mutex<Patch>], search: &mut Search, ratio: f64) -> usiz
 }
 
 /// Collapses inside a cluster, and lets its small components vanish; returns how many vertices died.
-fn run_ahead(patch: &mut Patch, limit: f32, ratio: f64) -> usize {
+fn run_ahead(patch: &mut Patch, search: &Search, ratio: f64) -> usize {
     let floor = patch.size() - (patch.movable() as f64 * (1.0 - 1.0 / ratio)) as usize;
     let quota = (patch.alive() - patch.point_count()).saturating_sub(floor);
-    let collapsed = patch.collapse_interior(limit, quota);
-    collapsed + patch.vanish(limit, quota - collapsed)
+    let collapsed = patch.collapse_interior(search.collapse_limit(), quota);
+    collapsed + patch.vanish(search.limit, quota - collapsed)
 }
 
 /// Mean area of the triangles around a position, doubled: what its quadric starts with. At least one quantum.

@@ -7,13 +7,15 @@ use crate::topology::Kind;
 impl Patch {
     /// Does the collapse of the fan's centre onto `u` keep the surface a manifold with the same borders? Link condition
     /// (Dey et al. 1999). A new edge from `u` to a vertex that shares another cluster with it may exist there already:
-    /// `free` says whether it does not.
+    /// `free` says whether it does not. Along an open border it may as well: then it is the other side of a hole that a
+    /// border of clusters runs through, and that closes so.
     pub fn keeps_topology(&mut self, u: u32, free: impl Fn(&Patch, u32) -> bool) -> bool {
         let v = self.fan.center;
         self.gather(u);
         let shared_triangles = self.edge_triangles(v);
         let epoch_u = self.epoch;
         let touches_border = !self.shared(u).is_empty();
+        let behind = if touches_border { self.open_border_behind(u) } else { NONE };
         self.epoch += EPOCH;
         let (mut common, mut opposite) = (0, NONE);
         for i in 0..self.fan.spokes.len() {
@@ -26,7 +28,8 @@ impl Patch {
                 self.marks[x as usize] = self.epoch;
                 if mark > epoch_u {
                     (common, opposite) = (common + 1, x);
-                } else if touches_border && intersects(self.shared(u), self.shared(x)) && !free(self, x) {
+                } else if touches_border && x != behind && intersects(self.shared(u), self.shared(x)) && !free(self, x)
+                {
                     return false;
                 }
             }
@@ -47,16 +50,40 @@ impl Patch {
 }
 
 impl Patch {
+    /// Where the open border that the fan's centre goes along to `u` comes from, else [`NONE`].
+    fn open_border_behind(&self, u: u32) -> u32 {
+        let ends = match self.input.kinds[self.fan.center as usize] {
+            Kind::Open => self.fan.ends(),
+            _ => None,
+        };
+        match ends {
+            Some([start, end]) if u == start => end,
+            Some([start, end]) if u == end => start,
+            _ => NONE,
+        }
+    }
+
     /// The third corner of a triangular hole that the collapse of the fan's centre onto `u` closes, if it does. Where scans
     /// have thousands of small holes, these could not simplify any further otherwise.
+    ///
+    /// One of the two corners that stay may be locked, where clusters meet: the hole is this cluster's alone as long as the
+    /// other is not.
     pub fn closed_hole(&self, u: u32) -> Option<u32> {
-        let open = |v: u32| self.input.kinds[v as usize] == Kind::Open;
-        let [start, end] = if open(self.fan.center) && open(u) { self.fan.ends()? } else { return None };
-        let third = if u == start { end } else { start };
+        let kind = |v: u32| self.input.kinds[v as usize];
+        let [start, end] = if kind(self.fan.center) == Kind::Open { self.fan.ends()? } else { return None };
+        let third = match u {
+            _ if start == end => return None,
+            _ if u == start => end,
+            _ if u == end => start,
+            _ => return None,
+        };
+        if !matches!([kind(u), kind(third)], [Kind::Open, Kind::Open | Kind::Locked] | [Kind::Locked, Kind::Open]) {
+            return None;
+        }
         let mut beside = self.corners.around(u).iter().filter(|c| c.a == third || c.b == third);
         let only = beside.next().filter(|_| beside.next().is_none())?;
         // The border runs on from `u` to the third corner in the same sense.
-        (open(third) && start != end && third == if u == start { only.a } else { only.b }).then_some(third)
+        (third == if u == start { only.a } else { only.b }).then_some(third)
     }
 }
 

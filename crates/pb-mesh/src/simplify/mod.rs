@@ -53,8 +53,9 @@ const FIRST_LIMIT: f32 = 1e-14;
 const STALL_RISE: f32 = 4.0;
 const STALL_SHARE: f64 = 0.97;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
-const MAX_RISE: f64 = 16.0;
-/// Error that the first level may always reach, in diagonals; later levels `ratio` times more each.
+const MAX_RISE: f64 = 4.0;
+/// Error that every level may reach, in diagonals. Where components vanish later levels may reach `ratio` times more each:
+/// scenes of loose parts have nothing else to give.
 const FREE_ERROR: f64 = 2e-2;
 /// Collapses that a rank among all of them is estimated from.
 const RANK_SAMPLES: usize = 1 << 16;
@@ -145,7 +146,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
                 search.advance(&patches, alive as f64, target);
             }
             let quota = if small { alive - target.round() as usize } else { usize::MAX };
-            alive -= run_round(&patches, &mut seams, search.limit, target / alive as f64, quota);
+            alive -= run_round(&patches, &mut seams, &search, target / alive as f64, quota);
             search.record(alive as f64);
             let all = 1.0 - ratio.powi(1 - levels as i32);
             let dead = ((1.0 - alive as f64 / input.positions.len() as f64) / all).min(1.0) as f32;
@@ -161,14 +162,15 @@ fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {
     p.lock().expect("no thread panics while it holds a patch")
 }
 
-/// One round under one cost limit; returns how many positions died. Where there is a quota, the patches take from it one
-/// after the other; only a part that vanishes as a whole may exceed it.
-fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, keep: f64, quota: usize) -> usize {
+/// One round under the limits of the search; returns how many positions died. Where there is a quota, the patches take from
+/// it one after the other; only a part that vanishes as a whole may exceed it.
+fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], search: &Search, keep: f64, quota: usize) -> usize {
+    let limit = search.collapse_limit();
     let inside = |p: &Mutex<Patch>, quota: usize| {
         let mut p = lock(p);
         let vanishing = ((p.alive() - p.point_count()) as f64 * (1.0 - keep)).ceil().max(0.0) as usize;
         let collapsed = p.collapse_interior(limit, quota);
-        collapsed + p.vanish(limit, vanishing.min(quota - collapsed))
+        collapsed + p.vanish(search.limit, vanishing.min(quota - collapsed))
     };
     let along = |s: &mut Seam, quota: usize| {
         let (mut a, mut b) = (lock(&patches[s.clusters[0] as usize]), lock(&patches[s.clusters[1] as usize]));
@@ -188,8 +190,9 @@ fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], limit: f32, keep
 /// The cost limit of the rounds, steered so that counts come down on their targets from above.
 struct Search {
     limit: f32,
-    /// Limit of this level: a mesh whose shape does not allow the target keeps more vertices instead of its worst.
-    end: f32,
+    /// Limit of this level: a mesh whose shape does not allow the target keeps more vertices instead of its worst. Of
+    /// collapses, and of components that vanish.
+    ends: [f32; 2],
     /// Squared diagonal of the model.
     diagonal: f32,
     last: Option<(f64, f64)>,
@@ -215,7 +218,7 @@ impl Search {
         let diagonal: f32 = (0..3).map(|k| (hi[k] as f32 - lo[k] as f32).powi(2)).sum();
         Search {
             limit: (diagonal * FIRST_LIMIT).max(f32::MIN_POSITIVE),
-            end: diagonal,
+            ends: [diagonal; 2],
             diagonal,
             last: None,
             slope: -0.5,
@@ -237,16 +240,21 @@ impl Search {
             0 => 0.0,
             _ => f64::from(self.limit) * ratio * ratio * MAX_RISE,
         };
-        let always = f64::from(self.diagonal) * (FREE_ERROR * ratio.powi(level as i32)).powi(2);
+        let end = |free: f64| (natural.max(f64::from(self.diagonal) * free * free) as f32).min(self.diagonal);
+        self.ends = [end(FREE_ERROR), end(FREE_ERROR * ratio.powi(level as i32))];
         (self.start, self.progress, self.stalled) = (count, (self.limit, f64::INFINITY), false);
         if level == 0 {
             (self.last, self.idle) = (None, false);
         }
-        self.end = (natural.max(always) as f32).min(self.diagonal);
     }
 
     fn exhausted(&self) -> bool {
-        self.stalled || self.limit >= self.end
+        self.stalled || self.limit >= self.ends[1]
+    }
+
+    /// What collapses may cost now.
+    fn collapse_limit(&self) -> f32 {
+        self.limit.min(self.ends[0])
     }
 
     fn record(&mut self, count: f64) {
@@ -277,7 +285,7 @@ impl Search {
             false => (aim / self.slope).exp().clamp(least, MAX_FACTOR),
         } as f32;
         let queued = cost_of_rank(patches, (count - target) as usize).unwrap_or(f32::INFINITY);
-        self.limit = (self.limit * factor).min(queued.max(self.limit * least as f32)).min(self.end);
+        self.limit = (self.limit * factor).min(queued.max(self.limit * least as f32)).min(self.ends[1]);
     }
 }
 

@@ -13,7 +13,7 @@ use crate::topology::Kind;
 use glam::{Vec3, Vec4};
 
 /// Weight of the plane that stands on an open border edge, times the squared edge length.
-const OPEN_BORDER_WEIGHT: f32 = 10.0;
+const OPEN_BORDER_WEIGHT: f32 = 1.0;
 /// Weight of the bend of normals along a collapse: the appearance term, in squared edge lengths.
 const NORMAL_WEIGHT: f32 = 1.0 / 256.0;
 /// A round that has more than this fraction (1/n) of the vertices queued is worth [`Patch::warm_up`].
@@ -269,13 +269,7 @@ impl Patch {
     /// into `v`, the bend of normals, and the stretch of texture.
     fn cost(&self, v: u32, u: u32) -> f32 {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
-        self.geometric_cost(v, d).0 + self.appearance_cost(v, u, d) + self.stretch(u)
-    }
-
-    /// Squared distance at offset `d` from `v`, scaled, and the area of the planes behind it.
-    pub fn geometric_cost(&self, v: u32, d: Vec3) -> (f32, f32) {
-        let q = &self.quadrics[v as usize];
-        (q.at(d) * self.scales[v as usize], q.weight)
+        self.quadrics[v as usize].at(d) * self.scales[v as usize] + self.appearance_cost(v, u, d) + self.stretch(u)
     }
 
     /// See [`scale`].
@@ -418,8 +412,10 @@ impl Patch {
         self.scales[u as usize] = scale(self.quadrics[u as usize].weight, self.input.mean_area);
         if let Some(third) = self.closed_hole(u) {
             for x in [u, third] {
-                self.input.kinds[x as usize] = Kind::Inner;
-                self.best[x as usize] = (f32::INFINITY, NONE);
+                if self.input.kinds[x as usize] == Kind::Open {
+                    self.input.kinds[x as usize] = Kind::Inner;
+                    self.best[x as usize] = (f32::INFINITY, NONE);
+                }
             }
         }
         if let Some(charts) = &mut self.input.charts {
@@ -476,7 +472,7 @@ impl Patch {
 /// What makes the value of a quadric of this weight a cost. Between the mean over its planes, which keeps the largest
 /// distance down, and their sum, which keeps the mean over the whole surface down: the mean times a power (3/8) of the
 /// number of triangles behind it.
-fn scale(weight: f32, mean_area: f32) -> f32 {
+pub(super) fn scale(weight: f32, mean_area: f32) -> f32 {
     let quarter = (weight / mean_area).sqrt().sqrt();
     if weight > 0.0 { (1.0 + quarter * quarter.sqrt()) / weight } else { 0.0 }
 }
