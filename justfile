@@ -28,6 +28,10 @@ bench-decode *ARCHIVES:
 bench-memory *MILLIONS:
     tools/bench-memory {{MILLIONS}}
 
+# memory of a bake of many large atlases under a bound
+bench-atlases *ARGS:
+    tools/bench-atlases {{ARGS}}
+
 # how true the remaining time is that pb-bake shows
 bench-progress *MESHES:
     tools/bench-progress {{MESHES}}

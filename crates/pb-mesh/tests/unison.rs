@@ -224,3 +224,31 @@ fn no_two_clusters_get_the_same_edge() {
     let edges = edge_counts(&b, 1);
     assert!(edges.iter().all(|(e, n)| *n == 1 && edges.contains_key(&[e[1], e[0]])), "{edges:?}");
 }
+
+/// A component that vanishes shrinks to a point of its own first: it must not be drawn out to another on its way.
+#[test]
+fn what_vanishes_at_a_level_stays_where_it_is_until_the_next() {
+    let (mut positions, mut triangles) = bumpy_sphere(20);
+    let body = positions.len() as u32;
+    for i in 0..800 {
+        let at = spread_direction(i, 800) * (1.3e6 + f64::from(i % 7) * 2e4);
+        let first = positions.len() as u32;
+        for corner in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+            let p = at + DVec3::from_array(corner) * (500.0 + f64::from(i));
+            positions.push(p.to_array().map(|x| x as i32));
+        }
+        triangles.extend([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]].map(|t| t.map(|k| first + k)));
+    }
+    let b = run(&positions, &triangles, 500, 5, 4.0);
+    let component = |v: u32| if v < body { 0 } else { 1 + (v - body) / 4 };
+    let mut vanished = 0;
+    for v in 0..positions.len() as u32 {
+        let level = b.collapses.last_level[v as usize];
+        if level == 0 {
+            let next = b.collapses.ancestor(v, 1);
+            assert_eq!(component(next), component(v), "{v} went to {next}");
+            vanished += usize::from(v >= body);
+        }
+    }
+    assert!(vanished > 1000, "{vanished} vertices of loose parts died at the first level");
+}

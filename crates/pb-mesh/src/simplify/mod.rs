@@ -131,7 +131,9 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     // But for points that vanished components leave.
     let mut alive = input.positions.len() - died;
     for level in 0..levels - 1 {
-        patches.par_iter().for_each(|p| lock(p).bury_points());
+        if level > 0 {
+            patches.par_iter().for_each(|p| lock(p).bury_points());
+        }
         // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
         patches.iter().for_each(|p| lock(p).watchful = level > 0);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
