@@ -146,6 +146,7 @@ struct Repairs {
     nonmanifold_edges: u64,
     nonmanifold_vertices: u64,
     nonmanifold_positions_split: u64,
+    nonmanifold_edges_split: u64,
     nonmanifold_positions_locked: u64,
 }
 
@@ -166,6 +167,7 @@ impl Repairs {
             (self.nonmanifold_edges, "non-manifold edges"),
             (self.nonmanifold_vertices, "non-manifold vertices"),
             (self.nonmanifold_positions_split, "positions added to split non-manifold places"),
+            (self.nonmanifold_edges_split, "positions added in the middle of non-manifold edges"),
             (self.nonmanifold_positions_locked, "non-manifold positions locked"),
         ];
         let parts: Vec<String> = parts.iter().filter(|p| p.0 > 0).map(|(n, what)| format!("{n} {what}")).collect();
@@ -312,7 +314,8 @@ impl BakeSummary {
             boundary_edges: repairs.topology.boundary_edges,
             nonmanifold_edges: repairs.topology.nonmanifold_edges,
             nonmanifold_vertices: repairs.topology.nonmanifold_vertices,
-            nonmanifold_positions_split: repairs.positions_split,
+            nonmanifold_positions_split: repairs.split.copies,
+            nonmanifold_edges_split: repairs.split.middles,
             ..self.repairs
         };
         self

@@ -8,7 +8,7 @@
 use crate::corners::{Corners, Topology, duplicate_triangles, topology};
 use crate::mesh::{Mesh, Soup, Texturing};
 use crate::normals::{NormalOptions, Surface, wedges};
-use crate::split::split_non_manifold;
+use crate::split::{Added, split_non_manifold};
 use crate::weld::{weld_exact, weld_within};
 use rayon::prelude::*;
 
@@ -76,8 +76,8 @@ pub struct RepairReport {
     pub uvs_repaired: u64,
     /// Whether all normals were made because those of the input were only those of the facets.
     pub facet_normals_replaced: bool,
-    /// Positions added so that every sheet of a non-manifold place has its own.
-    pub positions_split: u64,
+    /// What was added so that every sheet of a non-manifold place has positions of its own.
+    pub split: Added,
     /// Borders and non-manifold places before they were split.
     pub topology: Topology,
 }
@@ -185,7 +185,7 @@ pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport
     let (wedges, triangles) = (made.wedges, made.triangles.unwrap_or(triangles));
     let mut mesh = Mesh { wedges, triangles, has_colors: !colors.is_empty(), positions, texturing, objects };
     if report.topology.nonmanifold_edges + report.topology.nonmanifold_vertices > 0 {
-        report.positions_split = split_non_manifold(&mut mesh);
+        report.split = split_non_manifold(&mut mesh);
     }
     Ok((mesh, report))
 }

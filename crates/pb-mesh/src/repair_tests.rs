@@ -147,7 +147,7 @@ fn splitting_sheets_moves_no_texture_coordinate() {
     };
     let places = soup.positions.clone();
     let (mesh, report) = repaired(soup);
-    assert!(report.positions_split > 0);
+    assert!(report.split.copies > 0);
     let texturing = mesh.texturing.as_ref().unwrap();
     assert_eq!(texturing.material_of, [7, 8, 9]);
     for t in 0..3 {

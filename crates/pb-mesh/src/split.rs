@@ -11,19 +11,33 @@ use crate::topology::{Fans, Kind, classify};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// Makes every position's triangles one disc or half disc. Returns how many positions were added.
+/// What was added to a mesh that is no manifold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Added {
+    /// Copies of positions, one per further fan.
+    pub copies: u64,
+    /// Positions in the middle of edges, one per further sheet.
+    pub middles: u64,
+    /// Triangles, where others were cut at such a position.
+    pub triangles: u64,
+}
+
+/// Makes every position's triangles one disc or half disc.
 ///
 /// Afterwards `mesh.positions` may hold equal positions, and there may be more triangles; all else that [`Mesh`] promises
 /// stays true.
-pub fn split_non_manifold(mesh: &mut Mesh) -> u64 {
-    let before = mesh.positions.len();
+pub fn split_non_manifold(mesh: &mut Mesh) -> Added {
     let broken = Broken::of(mesh);
     if broken.positions.is_empty() {
-        return 0;
+        return Added::default();
     }
+    let counts = |mesh: &Mesh| [mesh.positions.len() as u64, mesh.triangles.len() as u64];
+    let [positions, triangles] = counts(mesh);
     part_fans(mesh, &broken);
+    let [parted, _] = counts(mesh);
     part_edges(mesh, &Broken::of(mesh));
-    (mesh.positions.len() - before) as u64
+    let [all, cut] = counts(mesh);
+    Added { copies: parted - positions, middles: all - parted, triangles: cut - triangles }
 }
 
 /// The places where a mesh is no manifold.
@@ -267,7 +281,7 @@ mod tests {
     fn solids_that_share_a_corner_part_there() {
         let positions: Vec<[f64; 3]> = (0..7).map(|i| [i as f64, (i * i) as f64, (i * i * i) as f64]).collect();
         let mut m = mesh(&positions, &two_tetrahedra([0, 1, 2, 3], [3, 4, 5, 6]));
-        assert_eq!((broken(&m), split_non_manifold(&mut m), broken(&m)), (1, 1, 0));
+        assert_eq!((broken(&m), split_non_manifold(&mut m).copies, broken(&m)), (1, 1, 0));
         assert_eq!(m.positions[7], m.positions[3]);
         assert_eq!(m.wedges.len(), 8);
     }
@@ -277,7 +291,7 @@ mod tests {
         let positions: Vec<[f64; 3]> = (0..6).map(|i| [i as f64, (i * i) as f64, (i * i * i) as f64]).collect();
         let mut m = mesh(&positions, &two_tetrahedra([0, 1, 2, 3], [2, 3, 4, 5]));
         assert_eq!(broken(&m), 2);
-        assert!(split_non_manifold(&mut m) > 0);
+        assert!(split_non_manifold(&mut m).copies > 0);
         assert_eq!(broken(&m), 0);
     }
 
@@ -285,7 +299,7 @@ mod tests {
     fn a_third_sheet_at_an_edge_becomes_an_open_border() {
         let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
         let mut m = mesh(&positions, &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
-        assert_eq!((split_non_manifold(&mut m), broken(&m)), (2, 0));
+        assert_eq!((split_non_manifold(&mut m).copies, broken(&m)), (2, 0));
     }
 
     #[test]
@@ -296,7 +310,8 @@ mod tests {
         let places = Broken::of(&m);
         part_fans(&mut m, &places);
         assert_eq!((broken(&m), m.triangles.len()), (2, 5), "copies do not help");
-        assert_eq!((split_non_manifold(&mut m), broken(&m), m.triangles.len()), (1, 0, 6));
+        let added = split_non_manifold(&mut m);
+        assert_eq!((added, broken(&m)), (Added { copies: 0, middles: 1, triangles: 1 }, 0));
         assert_eq!(m.positions[5], [0.5, 0.0, 0.0]);
     }
 
@@ -340,7 +355,7 @@ mod tests {
         let positions: Vec<[f64; 3]> = (0..4).map(|i| [i as f64, (i * i) as f64, (i * i * i) as f64]).collect();
         let mut m = mesh(&positions, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]);
         let before = m.clone();
-        assert_eq!(split_non_manifold(&mut m), 0);
+        assert_eq!(split_non_manifold(&mut m), Added::default());
         assert_eq!(m, before);
     }
 }

@@ -12,6 +12,7 @@ use pb_mesh::corners::Topology;
 use pb_mesh::mesh::{Mesh, Wedge};
 use pb_mesh::objects::{Objects, Placement};
 use pb_mesh::repair::RepairReport;
+use pb_mesh::split::Added;
 use std::io::{Error, Read, Result, Write};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -136,7 +137,7 @@ fn wedge(&[position, x, y, z, color]: &[u32; 5]) -> Wedge {
 }
 
 /// All counts of a report in their order, and its flag.
-fn counts(report: &mut RepairReport) -> ([&mut u64; 15], &mut bool) {
+fn counts(report: &mut RepairReport) -> ([&mut u64; 17], &mut bool) {
     let RepairReport {
         triangles_in,
         records_in,
@@ -150,7 +151,7 @@ fn counts(report: &mut RepairReport) -> ([&mut u64; 15], &mut bool) {
         normals_repaired,
         uvs_repaired,
         facet_normals_replaced,
-        positions_split,
+        split: Added { copies, middles, triangles },
         topology: Topology { boundary_edges, nonmanifold_edges, nonmanifold_vertices },
     } = report;
     let counts = [
@@ -165,7 +166,9 @@ fn counts(report: &mut RepairReport) -> ([&mut u64; 15], &mut bool) {
         normals_made,
         normals_repaired,
         uvs_repaired,
-        positions_split,
+        copies,
+        middles,
+        triangles,
         boundary_edges,
         nonmanifold_edges,
         nonmanifold_vertices,
@@ -199,7 +202,7 @@ mod tests {
         let wedge =
             |position: u32| Wedge { position, normal: [0.5, -0.0, position as f32], color: [1, 2, 3, position as u8] };
         let place = |scale: f64| placement(&[0.0, 0.6, 0.0, 0.8, scale, -1.0, 1e-300, scale * 7.0]);
-        let numbers: Vec<u64> = (0..16).map(|i| if i == 15 { 1 } else { i * 7 }).collect();
+        let numbers: Vec<u64> = (0..18).map(|i| if i == 17 { 1 } else { i * 7 }).collect();
         let mesh = Mesh {
             positions: (0..9).map(|i| [f64::from(i), 0.1, 1e300]).collect(),
             wedges: (0..BLOCK as u32 + 3).map(wedge).collect(),
