@@ -97,18 +97,67 @@ pub(super) fn build_seams(input: &UnisonInput, patches: &[Mutex<Patch>]) -> Vec<
     ends.par_chunk_by(|a, b| a.0 == b.0).map(seam).collect()
 }
 
+/// Clusters whose seams are worked on together: what they hold fits into a small part of a machine's memory.
+const BLOCK_CLUSTERS: u32 = 512;
+/// How many times larger the blocks of the seams are that leave one.
+const BLOCK_GROWTH: u32 = 8;
+
 /// Groups in which no cluster occurs twice (greedy edge colouring): these may move at the same time.
-pub(super) fn color_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
-    let mut groups: Vec<(std::collections::BTreeSet<u32>, Vec<Seam>)> = Vec::new();
+///
+/// The groups of one block of clusters, which are neighbours, follow each other: where the clusters of the whole mesh do not
+/// fit into memory together, each block comes in once for all of its groups. Seams that leave a block come later, those of a
+/// block of blocks together.
+pub(super) fn group_seams(seams: Vec<Seam>) -> Vec<Vec<Seam>> {
+    let mut blocks: std::collections::BTreeMap<(u32, u32), Vec<Group>> = Default::default();
     for s in seams {
         let [a, b] = s.clusters;
-        let free = groups.iter().position(|g| !g.0.contains(&a) && !g.0.contains(&b));
+        let mut size = BLOCK_CLUSTERS;
+        while a / size != b / size {
+            size = size.saturating_mul(BLOCK_GROWTH);
+        }
+        let groups = blocks.entry((size, a / size)).or_default();
+        let free = groups.iter().position(|g| !g.clusters.contains(&a) && !g.clusters.contains(&b));
         let at = free.unwrap_or_else(|| {
-            groups.push(Default::default());
+            groups.push(Group::default());
             groups.len() - 1
         });
-        groups[at].0.extend([a, b]);
-        groups[at].1.push(s);
+        groups[at].clusters.extend([a, b]);
+        groups[at].seams.push(s);
     }
-    groups.into_iter().map(|g| g.1).collect()
+    blocks.into_values().flatten().map(|g| g.seams).collect()
+}
+
+/// Seams of a block, no two of them at one cluster.
+#[derive(Default)]
+struct Group {
+    clusters: std::collections::BTreeSet<u32>,
+    seams: Vec<Seam>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_have_no_cluster_twice_and_those_of_a_block_follow_each_other() {
+        // A strip of clusters, each beside the next three.
+        let pairs = (0..5000u32).flat_map(|a| (1..4).map(move |d| [a, a + d])).collect::<Vec<_>>();
+        let groups = group_seams(pairs.iter().map(|&p| Seam::new(p, Vec::new())).collect());
+        let mut seen = Vec::new();
+        let mut blocks = Vec::new();
+        for group in &groups {
+            let mut clusters: Vec<u32> = group.iter().flat_map(|s| s.clusters).collect();
+            clusters.sort_unstable();
+            assert!(clusters.windows(2).all(|w| w[0] < w[1]), "one cluster twice");
+            seen.extend(group.iter().map(|s| s.clusters));
+            if group.iter().all(|s| s.clusters[0] / BLOCK_CLUSTERS == s.clusters[1] / BLOCK_CLUSTERS) {
+                blocks.push(clusters[0] / BLOCK_CLUSTERS);
+                assert!(clusters.iter().all(|c| c / BLOCK_CLUSTERS == clusters[0] / BLOCK_CLUSTERS));
+            }
+        }
+        seen.sort_unstable();
+        assert_eq!(seen, pairs);
+        assert!(blocks.is_sorted() && blocks.last() == Some(&(5002 / BLOCK_CLUSTERS)));
+        assert!(groups.len() - blocks.len() < 12, "seams between blocks in few groups");
+    }
 }

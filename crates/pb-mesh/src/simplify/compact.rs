@@ -2,7 +2,6 @@
 
 use super::corner_lists::NONE;
 use super::patch::Patch;
-use super::queue::Queue;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 /// What every position collapsed onto and when, filled by all patches at the same time. Both patches of a border write the
@@ -41,7 +40,7 @@ impl Patch {
         if self.input.charts.is_some() || living * 8 > self.living.len() * 7 {
             return None;
         }
-        (self.graves, self.queue) = (Vec::new(), Queue::default());
+        self.graves = Vec::new();
         let mut next = 0..;
         let number = |alive: &bool| if *alive { next.next().expect("without end") } else { NONE };
         let numbers: Vec<u32> = self.living.iter().map(number).collect();

@@ -25,7 +25,7 @@ pub use charts::UvInput;
 use crate::segment::Segmentation;
 use crate::topology::{Fans, Kind};
 use border::Seam;
-use build::{build_seams, color_seams};
+use build::{build_seams, group_seams};
 use compact::Forest;
 use glam::Vec3;
 use patch::Patch;
@@ -127,7 +127,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let mut search = Search::new(input.positions);
     let early = |share| progress(share * HEAD_START_SHARE);
     let (patches, died) = head_start::patches(input, &mut search, &forest, ratio, &early);
-    let mut seams = color_seams(build_seams(input, &patches));
+    let mut seams = group_seams(build_seams(input, &patches));
     // But for points that vanished components leave.
     let mut alive = input.positions.len() - died;
     for level in 0..levels - 1 {

@@ -77,7 +77,7 @@ pub(super) struct Patch {
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
     /// Collapses of this round.
-    pub(super) queue: Queue,
+    queue: Queue,
     pub(super) corners: CornerLists,
     pub(super) marks: Vec<u32>,
     pub(super) epoch: u32,

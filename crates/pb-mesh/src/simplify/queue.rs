@@ -57,9 +57,9 @@ impl Queue {
         self.free = NONE;
     }
 
-    /// Takes nothing more until it is restarted.
+    /// Forgets all, and takes nothing until it is restarted. A queue that waits holds no memory.
     pub fn stop(&mut self) {
-        self.limit = f32::NEG_INFINITY;
+        *self = Queue::default();
     }
 
     /// Puts a vertex in unless its cost, which is not negative, is above the limit.
