@@ -157,7 +157,7 @@ fn edge_is_free(here: &Patch, there: &Patch, other: u32, gone: [u32; 2], u: u32,
     if here.shared(u).iter().any(|c| *c != other && here.shared(x).contains(c)) {
         return false;
     }
-    let twin = || there.input.global.binary_search(&here.input.global[x as usize]).expect("shared by both") as u32;
+    let twin = || there.local(here.input.global[x as usize]);
     x == along || gone.iter().all(|&g| there.corners.edge_count(twin(), g) == 0)
 }
 

@@ -15,7 +15,7 @@ impl Patch {
         let shared_triangles = self.edge_triangles(v);
         let epoch_u = self.epoch;
         let touches_border = !self.shared(u).is_empty();
-        let behind = if touches_border { self.open_border_behind(u) } else { NONE };
+        let behind = if touches_border { self.open_border_behind(u).map_or(NONE, |b| b.0) } else { NONE };
         self.epoch += EPOCH;
         let (mut common, mut opposite) = (0, NONE);
         for i in 0..self.fan.spokes.len() {
@@ -50,16 +50,14 @@ impl Patch {
 }
 
 impl Patch {
-    /// Where the open border that the fan's centre goes along to `u` comes from, else [`NONE`].
-    fn open_border_behind(&self, u: u32) -> u32 {
-        let ends = match self.input.kinds[self.fan.center as usize] {
-            Kind::Open => self.fan.ends(),
+    /// Where the open border that the fan's centre would go along to `u` comes from, and whether the fan starts with `u`.
+    fn open_border_behind(&self, u: u32) -> Option<(u32, bool)> {
+        let open = self.input.kinds[self.fan.center as usize] == Kind::Open;
+        match open.then(|| self.fan.ends())?? {
+            [start, end] if start == end => None,
+            [start, end] if u == start => Some((end, true)),
+            [start, end] if u == end => Some((start, false)),
             _ => None,
-        };
-        match ends {
-            Some([start, end]) if u == start => end,
-            Some([start, end]) if u == end => start,
-            _ => NONE,
         }
     }
 
@@ -70,20 +68,14 @@ impl Patch {
     /// other is not.
     pub fn closed_hole(&self, u: u32) -> Option<u32> {
         let kind = |v: u32| self.input.kinds[v as usize];
-        let [start, end] = if kind(self.fan.center) == Kind::Open { self.fan.ends()? } else { return None };
-        let third = match u {
-            _ if start == end => return None,
-            _ if u == start => end,
-            _ if u == end => start,
-            _ => return None,
-        };
+        let (third, starts) = self.open_border_behind(u)?;
         if !matches!([kind(u), kind(third)], [Kind::Open, Kind::Open | Kind::Locked] | [Kind::Locked, Kind::Open]) {
             return None;
         }
         let mut beside = self.corners.around(u).iter().filter(|c| c.a == third || c.b == third);
         let only = beside.next().filter(|_| beside.next().is_none())?;
         // The border runs on from `u` to the third corner in the same sense.
-        (third == if u == start { only.a } else { only.b }).then_some(third)
+        (third == if starts { only.a } else { only.b }).then_some(third)
     }
 }
 
