@@ -9,6 +9,12 @@ use rayon::prelude::*;
 
 /// A component of at most `max_triangles / SMALL_COMPONENT` triangles is kept in one cluster.
 const SMALL_COMPONENT: usize = 4;
+/// Clusters are to hold this share of the triangles that they may: what stays together (components, equal keys) makes some
+/// larger than planned, and those that become too large are halved.
+const FILL: f64 = 0.95;
+/// Items that the axis of a cut is chosen from, and the width of the band around it, in extents of all, on either side.
+const CUT_SAMPLES: usize = 2048;
+const BAND: f32 = 1.0 / 32.0;
 /// Below this many triangles a subtree is split without forking.
 const PARALLEL_MIN: usize = 1 << 15;
 /// More positions than this do not fit the 16-bit indices of a cluster.
@@ -74,12 +80,12 @@ pub fn segment_objects(
     let mut items = keys(positions, triangles, &components, max_triangles / SMALL_COMPONENT);
     let mut sizes = Vec::new();
     if object_of.is_empty() {
-        split(&mut items, max_triangles, corners, &mut sizes);
+        split(&mut items, 1, max_triangles, corners, &mut sizes);
     } else {
         let object = |i: &Item| object_of[triangles[i.triangle as usize][0] as usize];
         items.par_sort_by_key(object);
         for run in items.chunk_by_mut(|a, b| object(a) == object(b)) {
-            split(run, max_triangles, corners, &mut sizes);
+            split(run, 1, max_triangles, corners, &mut sizes);
         }
     }
     let mut order: Vec<u32> = items.par_iter().map(|i| i.triangle).collect();
@@ -154,19 +160,28 @@ pub(crate) fn components(positions: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
     parent
 }
 
-fn split(items: &mut [Item], max: usize, corners: &[[u32; 3]], sizes: &mut Vec<u32>) {
+/// Splits into `parts` clusters of about the same size, or more where those would be too large. Few clusters have short
+/// borders, and borders are where quality is lost: so their number is not rounded to a power of two.
+fn split(items: &mut [Item], parts: usize, max: usize, corners: &[[u32; 3]], sizes: &mut Vec<u32>) {
     if items.len() <= max && fits_indices(items, corners) {
         sizes.push(items.len() as u32);
         return;
     }
-    let middle = partition(items);
+    let parts = match parts {
+        1 => ((items.len() as f64 / (max as f64 * FILL)).ceil() as usize).max(2),
+        more => more,
+    };
+    let share = (parts / 2) as f64 / parts as f64;
+    let middle = partition(items, ((items.len() as f64 * share) as usize).max(1));
     let (left, right) = items.split_at_mut(middle);
+    let parts = [parts / 2, parts - parts / 2];
     if left.len() + right.len() < PARALLEL_MIN {
-        split(left, max, corners, sizes);
-        split(right, max, corners, sizes);
+        split(left, parts[0], max, corners, sizes);
+        split(right, parts[1], max, corners, sizes);
     } else {
         let mut right_sizes = Vec::new();
-        rayon::join(|| split(left, max, corners, sizes), || split(right, max, corners, &mut right_sizes));
+        let mut right_split = || split(right, parts[1], max, corners, &mut right_sizes);
+        rayon::join(|| split(left, parts[0], max, corners, sizes), &mut right_split);
         sizes.append(&mut right_sizes);
     }
 }
@@ -181,19 +196,20 @@ fn fits_indices(items: &[Item], corners: &[[u32; 3]]) -> bool {
     used.len() <= MAX_CLUSTER_VERTICES
 }
 
-/// Reorders `items` around a plane across their longest extent; returns how many are below. The plane is
-/// the median, moved to the nearest place where keys differ, so that equal keys stay together.
-fn partition(items: &mut [Item]) -> usize {
+/// Reorders `items` around a plane across their longest extent; returns how many are below. The plane has `half` of them
+/// below, moved to the nearest place where keys differ, so that equal keys stay together.
+fn partition(items: &mut [Item], half: usize) -> usize {
     let (lo, hi) = key_bounds(items);
-    let axis = (0..3).max_by(|&a, &b| (hi[a] - lo[a]).total_cmp(&(hi[b] - lo[b]))).expect("three axes");
-    let half = items.len() / 2;
+    let extent = |k: usize| hi[k] - lo[k];
+    let longest = (0..3).max_by(|&a, &b| extent(a).total_cmp(&extent(b))).expect("three axes");
+    let axis = shortest_cut(items, half, extent(longest) * BAND, longest);
     // Keys are not negative, so that their bits are in the order of their values.
     items.select_nth_unstable_by_key(half, |i| u64::from(i.key[axis].to_bits()) << 32 | u64::from(i.triangle));
     let value = items[half].key[axis];
     if lo[axis] == hi[axis] {
         return half;
     }
-    // Nothing before the median is above it, nothing after it below.
+    // Nothing before the item at `half` is above it, nothing after it below.
     let (before, after) = items.split_at_mut(half);
     let below = before.iter().filter(|i| i.key[axis] < value).count();
     let not_above = half + after.iter().filter(|i| i.key[axis] == value).count();
@@ -204,6 +220,20 @@ fn partition(items: &mut [Item]) -> usize {
         false => bring_forward(after, |i| i.key[axis] == value),
     }
     if cut_low { below } else { not_above }
+}
+
+/// The axis along which a cut at `half` has the fewest items within `band` of it, estimated from samples: about the same as the
+/// shortest border.
+fn shortest_cut(items: &[Item], half: usize, band: f32, longest: usize) -> usize {
+    let step = (items.len() / CUT_SAMPLES).max(1);
+    let near = |k: usize| {
+        let mut keys: Vec<f32> = items.iter().step_by(step).map(|i| i.key[k]).collect();
+        let at = (half / step).min(keys.len() - 1);
+        let cut = *keys.select_nth_unstable_by(at, f32::total_cmp).1;
+        keys.iter().filter(|x| (**x - cut).abs() <= band).count()
+    };
+    let counts: [usize; 3] = std::array::from_fn(near);
+    (0..3).min_by_key(|&k| (counts[k], k != longest)).expect("three axes")
 }
 
 /// Smallest and largest key per axis.
@@ -231,5 +261,47 @@ fn bring_forward(items: &mut [Item], wanted: impl Fn(&Item) -> bool) {
             items.swap(at, i);
             at += 1;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    /// A grid of unit squares, two triangles each, where there is a square.
+    fn plate(width: u32, height: u32, there: impl Fn(u32, u32) -> bool) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
+        let at = |x: u32, y: u32| y * (width + 1) + x;
+        let positions =
+            (0..=height).flat_map(|y| (0..=width).map(move |x| [f64::from(x), f64::from(y), 0.0])).collect();
+        let squares = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).filter(|&(x, y)| there(x, y));
+        let halves = |(x, y)| [[at(x, y), at(x + 1, y), at(x, y + 1)], [at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)]];
+        (positions, squares.flat_map(halves).collect())
+    }
+
+    fn sizes(s: &Segmentation) -> Vec<usize> {
+        (0..s.len()).map(|c| s.cluster(c).len()).collect()
+    }
+
+    #[test]
+    fn clusters_are_as_few_as_their_size_allows() {
+        let (positions, triangles) = plate(100, 51, |_, _| true);
+        for (max, wanted) in [(10_800, 1), (10_000, 2), (3_600, 3), (2_200, 5), (1_000, 11), (400, 27)] {
+            let found = sizes(&segment(&positions, &triangles, &triangles, max));
+            assert_eq!(found.iter().sum::<usize>(), triangles.len());
+            assert!(found.iter().all(|&n| n <= max), "{found:?} of at most {max}");
+            assert_eq!(found.len(), wanted, "{found:?} of at most {max}");
+        }
+    }
+
+    #[test]
+    fn a_cut_goes_where_the_border_is_short() {
+        // Two plates, wider than both are high, and a bridge between them.
+        let bridge = |x, y| !(24..36).contains(&y) || (30..34).contains(&x);
+        let (positions, triangles) = plate(64, 60, bridge);
+        let s = segment(&positions, &triangles, &triangles, triangles.len() - 1);
+        let used = |c| s.cluster(c).iter().flat_map(|&t| triangles[t as usize]).collect::<BTreeSet<u32>>();
+        assert_eq!(s.len(), 2);
+        assert!(used(0).intersection(&used(1)).count() <= 6);
     }
 }
