@@ -148,6 +148,8 @@ struct Repairs {
     nonmanifold_positions_split: u64,
     nonmanifold_edges_split: u64,
     nonmanifold_positions_locked: u64,
+    facet_normals_replaced: bool,
+    sorted_along_curve: bool,
 }
 
 impl Repairs {
@@ -170,7 +172,12 @@ impl Repairs {
             (self.nonmanifold_edges_split, "positions added in the middle of non-manifold edges"),
             (self.nonmanifold_positions_locked, "non-manifold positions locked"),
         ];
-        let parts: Vec<String> = parts.iter().filter(|p| p.0 > 0).map(|(n, what)| format!("{n} {what}")).collect();
+        let flags = [
+            (self.facet_normals_replaced, "normals of facets replaced by smooth ones"),
+            (self.sorted_along_curve, "sorted along a curve, because neighbours are far apart in the file"),
+        ];
+        let counted = parts.iter().filter(|p| p.0 > 0).map(|(n, what)| format!("{n} {what}"));
+        let parts: Vec<String> = counted.chain(flags.iter().filter(|f| f.0).map(|f| f.1.to_owned())).collect();
         if parts.is_empty() { "none".into() } else { parts.join(", ") }
     }
 }
@@ -316,6 +323,8 @@ impl BakeSummary {
             nonmanifold_vertices: repairs.topology.nonmanifold_vertices,
             nonmanifold_positions_split: repairs.split.copies,
             nonmanifold_edges_split: repairs.split.middles,
+            facet_normals_replaced: repairs.facet_normals_replaced,
+            sorted_along_curve: repairs.sorted_along_curve,
             ..self.repairs
         };
         self

@@ -11,6 +11,7 @@ pub mod mesh;
 pub mod normals;
 pub mod numbering;
 pub mod objects;
+pub mod order;
 pub mod polygon;
 pub mod repair;
 pub mod segment;

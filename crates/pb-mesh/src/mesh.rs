@@ -103,7 +103,7 @@ pub struct Mesh {
     pub positions: Vec<[f64; 3]>,
     /// Ordered by position; the wedges of one position are neighbours.
     pub wedges: Vec<Wedge>,
-    /// Wedge indices, counter-clockwise seen from outside, in the order of the input.
+    /// Wedge indices, counter-clockwise seen from outside, in the order of the input or along a curve ([`crate::order`]).
     pub triangles: Vec<[u32; 3]>,
     /// Whether the input had colours; else every wedge is white.
     pub has_colors: bool,

@@ -8,6 +8,7 @@
 use crate::corners::{Corners, Topology, duplicate_triangles, topology};
 use crate::mesh::{Mesh, Soup, Texturing};
 use crate::normals::{NormalOptions, Surface, wedges};
+use crate::order::sort_where_needed;
 use crate::split::{Added, split_non_manifold};
 use crate::weld::{weld_exact, weld_within};
 use rayon::prelude::*;
@@ -76,6 +77,9 @@ pub struct RepairReport {
     pub uvs_repaired: u64,
     /// Whether all normals were made because those of the input were only those of the facets.
     pub facet_normals_replaced: bool,
+    /// Whether records and triangles were sorted along a curve because their order in the input says nothing of where they
+    /// are.
+    pub sorted_along_curve: bool,
     /// What was added so that every sheet of a non-manifold place has positions of its own.
     pub split: Added,
     /// Borders and non-manifold places before they were split.
@@ -134,9 +138,10 @@ pub fn first_bad_position(positions: &[[f64; 3]]) -> Option<usize> {
 /// # Panics
 /// When the soup breaks its own rules: an index out of range, or attributes of another length than the positions, or
 /// texture coordinates without materials.
-pub fn repair(soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport), MeshError> {
+pub fn repair(mut soup: Soup, options: &RepairOptions) -> Result<(Mesh, RepairReport), MeshError> {
     check(&soup, options)?;
     let mut report = RepairReport {
+        sorted_along_curve: sort_where_needed(&mut soup),
         triangles_in: soup.triangles.len() as u64,
         records_in: soup.positions.len() as u64,
         polygons_triangulated: soup.polygons_triangulated,

@@ -136,8 +136,8 @@ fn wedge(&[position, x, y, z, color]: &[u32; 5]) -> Wedge {
     Wedge { position, normal: [x, y, z].map(f32::from_bits), color: color.to_ne_bytes() }
 }
 
-/// All counts of a report in their order, and its flag.
-fn counts(report: &mut RepairReport) -> ([&mut u64; 17], &mut bool) {
+/// All counts of a report in their order, and its flags.
+fn counts(report: &mut RepairReport) -> ([&mut u64; 17], [&mut bool; 2]) {
     let RepairReport {
         triangles_in,
         records_in,
@@ -151,6 +151,7 @@ fn counts(report: &mut RepairReport) -> ([&mut u64; 17], &mut bool) {
         normals_repaired,
         uvs_repaired,
         facet_normals_replaced,
+        sorted_along_curve,
         split: Added { copies, middles, triangles },
         topology: Topology { boundary_edges, nonmanifold_edges, nonmanifold_vertices },
     } = report;
@@ -173,23 +174,25 @@ fn counts(report: &mut RepairReport) -> ([&mut u64; 17], &mut bool) {
         nonmanifold_edges,
         nonmanifold_vertices,
     ];
-    (counts, facet_normals_replaced)
+    (counts, [facet_normals_replaced, sorted_along_curve])
 }
 
-/// The counts, and the flag behind them.
+/// The counts, and the flags behind them.
 fn numbers(repairs: &RepairReport) -> Vec<u64> {
     let mut report = *repairs;
-    let (counts, flag) = counts(&mut report);
-    counts.into_iter().map(|n| *n).chain([u64::from(*flag)]).collect()
+    let (counts, flags) = counts(&mut report);
+    counts.into_iter().map(|n| *n).chain(flags.map(|f| u64::from(*f))).collect()
 }
 
 fn repairs(numbers: &[u64]) -> Option<RepairReport> {
     let mut report = RepairReport::default();
-    let (counts, flag) = counts(&mut report);
-    let (known, rest) = numbers.split_at_checked(counts.len())?;
-    let &[replaced] = rest else { return None };
-    *flag = replaced != 0;
+    let (counts, flags) = counts(&mut report);
+    let (known, raised) = numbers.split_at_checked(counts.len())?;
+    if raised.len() != flags.len() {
+        return None;
+    }
     counts.into_iter().zip(known).for_each(|(count, n)| *count = *n);
+    flags.into_iter().zip(raised).for_each(|(flag, n)| *flag = *n != 0);
     Some(report)
 }
 
