@@ -20,7 +20,7 @@ use cli::{BakeArgs, Cli, Command};
 use failure::{Failure, blame_input, blame_machine};
 use job::Job;
 use pb_archive::{FileStorage, Overwrite, Writer};
-use pb_bake::memory::{Bound, Memory};
+use pb_bake::memory::{Bound, Memory, set_aside};
 use pb_bake::traces;
 use pb_lod::progressive_buffers::bake::{BakeError, Stage};
 use pb_lod::progressive_buffers::layout::SCHEME;
@@ -104,6 +104,10 @@ fn bake_into(
         }
         progress.stage(stage_name(stage));
         progress.share(share);
+        if stage == Stage::Simplify && share == 0.0 {
+            // The surface is read once more, cluster by cluster; then rounds go over what was made of it.
+            set_aside(args.temp_folder());
+        }
     };
     let (model, baked, helper) =
         texturing::bake_scene(args, &mut scene, job, progress, &show).map_err(|e| match e {

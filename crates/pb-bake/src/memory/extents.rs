@@ -39,6 +39,13 @@ impl Extents {
         self.free.iter().map(|(&offset, &size)| (offset, size))
     }
 
+    /// Runs of extents that are taken, as (offset, size).
+    pub(super) fn taken(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let starts = std::iter::once(0).chain(self.free.iter().map(|(&offset, &size)| offset + size));
+        let ends = self.free.keys().copied().chain([self.end]);
+        starts.zip(ends).filter(|(start, end)| end > start).map(|(start, end)| (start, end - start))
+    }
+
     /// Takes the smallest free extent that holds `size` bytes; its offset.
     pub(super) fn take(&mut self, size: usize) -> Option<usize> {
         let found = self.by_size.range((size, 0)..).next().copied();

@@ -11,6 +11,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Blocks of so many bytes are large: they come from a region.
 const LARGE_BYTES: usize = 16 << 10;
+/// What the anonymous region holds is worth moving when it is more than this share of its budget.
+const PRESSED_SHARE: f64 = 0.5;
 /// Inside of [`in_files`], blocks of so many bytes lie in the file.
 const IN_FILE_BYTES: usize = 16 << 20;
 
@@ -64,6 +66,20 @@ pub(crate) fn in_files<T>(folder: &Path, work: impl FnOnce() -> T) -> T {
     }
     let _before = Before(IN_FILES.replace(open_file(folder).is_ok()));
     work()
+}
+
+/// Moves what large blocks hold to a file in `folder`, at their addresses, if memory is running short: a stage begins that
+/// hardly needs it, and what that stage asks for is to lie in memory. No other thread may write to a large block meanwhile.
+pub fn set_aside(folder: &Path) {
+    let pressed = HELD.load(Ordering::Relaxed) as f64 > BUDGET.load(Ordering::Relaxed) as f64 * PRESSED_SHARE;
+    let Some(file) = pressed.then(|| tempfile::tempfile_in(folder).ok()).flatten() else { return };
+    let mut region = lock(Place::Anonymous);
+    let moved = region.as_mut().map_or(0, |r| r.move_out(file));
+    HELD.fetch_sub(moved, Ordering::Relaxed);
+    let moved = region.as_ref().map_or(0, Region::moved);
+    drop(region);
+    let in_file = lock(Place::File).as_ref().map_or(0, Region::held);
+    SPILLED.fetch_max(moved + in_file, Ordering::Relaxed);
 }
 
 /// Makes the temporary file, unless there is one.
@@ -161,10 +177,7 @@ fn place_of(start: *const u8, layout: Layout) -> Option<Place> {
 fn give_back(place: Place, start: *mut u8, size: usize) {
     if let Some(region) = lock(place).as_mut() {
         debug_assert!(region.contains(start));
-        region.give_back(start, size);
-    }
-    if place == Place::Anonymous {
-        HELD.fetch_sub(size, Ordering::Relaxed);
+        HELD.fetch_sub(region.give_back(start, size), Ordering::Relaxed);
     }
 }
 

@@ -18,14 +18,16 @@ mod extents;
 #[cfg(target_os = "linux")]
 mod linux;
 #[cfg(target_os = "linux")]
+mod moved;
+#[cfg(target_os = "linux")]
 mod region;
 #[cfg(target_os = "linux")]
 mod watch;
 
 #[cfg(target_os = "linux")]
-pub use linux::Memory;
-#[cfg(target_os = "linux")]
 pub(crate) use linux::in_files;
+#[cfg(target_os = "linux")]
+pub use linux::{Memory, set_aside};
 #[cfg(target_os = "linux")]
 pub use watch::{Bound, Watched};
 
@@ -34,7 +36,7 @@ mod elsewhere;
 #[cfg(not(target_os = "linux"))]
 pub(crate) use elsewhere::in_files;
 #[cfg(not(target_os = "linux"))]
-pub use elsewhere::{Bound, Memory, Watched};
+pub use elsewhere::{Bound, Memory, Watched, set_aside};
 
 /// Pages that come faster than they are let go may take so many bytes for a moment.
 const BURST_BYTES: f64 = 360e6;

@@ -4,8 +4,12 @@
 //! the system is asked for huge pages: a bake walks over hundreds of megabytes in every stage, and small pages cost it a
 //! quarter of its time. In the file's range every extent has its blocks on the disk before it is used, so that a full disk
 //! is an answer and no fault.
+//!
+//! What the anonymous range holds can be moved to a file of its own without changing its address: for data that nobody is
+//! going to touch for a while.
 
 use super::extents::{Extents, PAGE};
+use super::moved::Moved;
 use rustix::fs::FallocateFlags;
 use rustix::io::Errno;
 use rustix::mm::{Advice, MapFlags, ProtFlags, madvise, mmap, mmap_anonymous};
@@ -22,6 +26,8 @@ pub(super) struct Region {
     extents: Extents,
     /// None: the system's memory.
     file: Option<File>,
+    /// Parts of the anonymous range whose pages are a file's for now.
+    moved: Option<Moved>,
 }
 
 impl Region {
@@ -34,7 +40,7 @@ impl Region {
             let base = unsafe { mmap_anonymous(null_mut(), capacity, access, flags) }.ok()?;
             // SAFETY: the advice concerns the range that was just mapped; it changes no content.
             let _ = unsafe { madvise(base, capacity, Advice::LinuxHugepage) };
-            Some(Region { base: base as usize, capacity, extents: Extents::new(capacity), file: None })
+            Some(Region { base: base as usize, capacity, extents: Extents::new(capacity), file: None, moved: None })
         })
     }
 
@@ -47,7 +53,8 @@ impl Region {
             // were allocated are handed out.
             let base = unsafe { mmap(null_mut(), capacity, access, MapFlags::SHARED, &file, 0) }.ok()?;
             let file = file.try_clone().ok()?;
-            Some(Region { base: base as usize, capacity, extents: Extents::new(capacity), file: Some(file) })
+            let extents = Extents::new(capacity);
+            Some(Region { base: base as usize, capacity, extents, file: Some(file), moved: None })
         })
     }
 
@@ -94,16 +101,30 @@ impl Region {
         false
     }
 
-    /// Ends a block, or the end of one. A file gives its blocks back to the disk.
-    pub(super) fn give_back(&mut self, start: *mut u8, size: usize) {
+    /// Ends a block, or the end of one; how much of it was in the system's memory. A file gives its blocks back to the disk.
+    pub(super) fn give_back(&mut self, start: *mut u8, size: usize) -> usize {
         let offset = start as usize - self.base;
-        if let Some(file) = &self.file {
-            let flags = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
-            if rustix::fs::fallocate(file, flags, offset as u64, size as u64).is_err() {
-                write_zeros(file, offset, size);
-            }
-        }
+        let in_file = self.moved.as_mut().map_or(0, |moved| moved.give_back(self.base, offset, size));
+        self.file.iter().for_each(|file| punch_hole(file, offset, size));
         self.extents.give_back(offset, size);
+        if self.file.is_some() { 0 } else { size - in_file }
+    }
+
+    /// Moves all of the anonymous range that is handed out to `file`, which is new; how many bytes. Where the disk has no room
+    /// some of it stays. Nobody may write to large blocks meanwhile; reading is no harm.
+    pub(super) fn move_out(&mut self, file: File) -> usize {
+        let moved = self.moved.get_or_insert_with(|| Moved::to(file));
+        self.extents.taken().map(|(offset, size)| moved.take(self.base, offset, size)).sum()
+    }
+
+    /// Lets go of the pages of what was moved: they stay in the file, and come back when they are touched.
+    pub(super) fn let_go_moved(&self) {
+        self.moved.iter().for_each(|moved| moved.let_go(self.base));
+    }
+
+    /// Bytes that are moved.
+    pub(super) fn moved(&self) -> usize {
+        self.moved.as_ref().map_or(0, Moved::held)
     }
 
     /// Gives the pages of free extents back to the system.
@@ -117,12 +138,24 @@ impl Region {
 
     /// Gives a part of the file its blocks.
     fn allocate(&self, offset: usize, size: usize) -> bool {
-        let Some(file) = &self.file else { return true };
-        match rustix::fs::fallocate(file, FallocateFlags::empty(), offset as u64, size as u64) {
-            Ok(()) => true,
-            Err(Errno::OPNOTSUPP | Errno::NOSYS) => write_zeros(file, offset, size),
-            Err(_) => false,
-        }
+        self.file.as_ref().is_none_or(|file| allocate(file, offset, size))
+    }
+}
+
+/// Gives a part of a file its blocks on the disk; no: there is no room.
+pub(super) fn allocate(file: &File, offset: usize, size: usize) -> bool {
+    match rustix::fs::fallocate(file, FallocateFlags::empty(), offset as u64, size as u64) {
+        Ok(()) => true,
+        Err(Errno::OPNOTSUPP | Errno::NOSYS) => write_zeros(file, offset, size),
+        Err(_) => false,
+    }
+}
+
+/// Gives blocks of a file back to the disk; it reads as zeros there.
+pub(super) fn punch_hole(file: &File, offset: usize, size: usize) {
+    let flags = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
+    if rustix::fs::fallocate(file, flags, offset as u64, size as u64).is_err() {
+        write_zeros(file, offset, size);
     }
 }
 
