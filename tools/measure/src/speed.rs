@@ -10,18 +10,22 @@ use serde_json::{Value, json};
 use crate::chain::quarters;
 use crate::mesh::Mesh;
 
+/// Times that each bake runs; the fastest counts. The first one after a while pays for memory that the host of a virtual
+/// machine took back meanwhile, up to a quarter of its time.
+const RUNS: usize = 2;
+
 /// Bakes `mesh` to a temporary file, process start to exit, with all threads and with one, and runs the chain on the same mesh.
 pub fn bake(pb_bake: &Path, mesh: &Path, steps: u32) -> Result<Value> {
     let threads = std::thread::available_parallelism()?.get();
-    let (seconds, summary) = timed(pb_bake, mesh, threads)?;
-    let (alone, _) = timed(pb_bake, mesh, 1)?;
+    let (seconds, summary) = fastest(pb_bake, mesh, threads)?;
+    let (alone, _) = fastest(pb_bake, mesh, 1)?;
     let mesh = Mesh::read(mesh)?;
     let triangles = mesh.triangles.len() as f64;
     let chain_secs = quarters(&mesh.welded(), steps);
     Ok(json!({
         "triangles": triangles, "bytes_per_triangle": summary["bytes_per_input_triangle"],
         "peak_memory_bytes": summary["peak_memory_bytes"], "spilled_bytes": summary["spilled_bytes"],
-        "threads": threads, "bake_secs": seconds, "bake_mtri_per_sec": triangles / seconds / 1e6,
+        "threads": threads, "runs": RUNS, "bake_secs": seconds, "bake_mtri_per_sec": triangles / seconds / 1e6,
         "bake_secs_one_thread": alone, "parallel_efficiency": alone / seconds / threads as f64,
         "stages": summary["stages"],
         "meshopt_chain_secs": chain_secs, "meshopt_chain_mtri_per_sec": triangles / chain_secs / 1e6,
@@ -58,6 +62,12 @@ pub fn bake_row(found: &Value, name: &str, first: bool) -> String {
 
 fn stage(stage: &Value) -> Option<(&str, f64)> {
     Some((stage["name"].as_str()?, stage["seconds"].as_f64()?))
+}
+
+fn fastest(pb_bake: &Path, mesh: &Path, threads: usize) -> Result<(f64, Value)> {
+    let mut runs = (0..RUNS).map(|_| timed(pb_bake, mesh, threads)).collect::<Result<Vec<_>>>()?;
+    runs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Ok(runs.swap_remove(0))
 }
 
 /// Seconds of a bake, and what it says of itself.
