@@ -6,9 +6,10 @@
 
 use super::charts::Charts;
 use super::corner_lists::{CornerLists, NONE};
-use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, dot};
+use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, WITNESS_WEIGHT, dot};
 use super::quadric::Quadric;
 use super::queue::Queue;
+use crate::closest::closest_on_segment;
 use crate::topology::Kind;
 use glam::{Vec3, Vec4};
 
@@ -242,7 +243,10 @@ impl Patch {
         let mut add = |cost, target| list.push(Candidate { cost, target, known: Known::Planes });
         if self.input.kinds[v as usize] == Kind::Open {
             let may = |u: &u32| matches!(self.input.kinds[*u as usize], Kind::Open | Kind::Locked);
-            self.fan.ends().into_iter().flatten().filter(may).for_each(|u| add(self.cost(v, u), u));
+            if let Some(ends) = self.fan.ends() {
+                let least = self.border_cost(v, ends);
+                ends.into_iter().filter(may).for_each(|u| add(self.cost(v, u).max(least), u));
+            }
         } else {
             // The fan of an inner vertex is closed: each neighbour starts one of its triangles.
             for (lanes, spokes) in self.fan.lanes.iter().zip(self.fan.spokes.chunks(LANES)) {
@@ -253,6 +257,17 @@ impl Patch {
             }
         }
         self.candidates = list;
+    }
+
+    /// What it costs at least that `v` leaves the open border between two neighbours: where that bends inwards, the surface gets
+    /// points as far from it as `v` is from the new edge; where a hole of three edges closes, as far as its middle is from them.
+    fn border_cost(&self, v: u32, ends: [u32; 2]) -> f32 {
+        let [a, b, c] = [v, ends[0], ends[1]].map(|x| self.input.positions[x as usize]);
+        let far = match self.corners.edge_count(ends[0], ends[1]) {
+            1 => (b - a).cross(c - a).length() / (a.distance(b) + b.distance(c) + c.distance(a)).max(f32::MIN_POSITIVE),
+            _ => closest_on_segment(a, b, c).distance(a),
+        };
+        far * far * WITNESS_WEIGHT
     }
 
     /// Costs of moving `v` onto where four of its spokes start, without those of texture.
