@@ -7,7 +7,7 @@
 use super::build::patch_input;
 use super::compact::Forest;
 use super::patch::Patch;
-use super::{Search, UnisonInput, lock};
+use super::{Search, UnisonInput, WATCHED_COUNT, lock};
 use crate::numbering::Numbering;
 use glam::IVec3;
 use rayon::prelude::*;
@@ -38,7 +38,8 @@ pub(super) fn patches(
     let numbering = || Numbering::new(input.positions.len());
     let set_up = |numbering: &mut Numbering, c: usize| {
         progress((built.fetch_add(1, Ordering::Relaxed) + 1) as f32 / count as f32);
-        Patch::new(patch_input(input, numbering, area, c as u32))
+        let watchful = input.positions.len() <= WATCHED_COUNT;
+        Patch::new(patch_input(input, numbering, area, c as u32), watchful)
     };
     let step = (count / SAMPLED).max(1);
     let samples: Vec<usize> = (0..count).step_by(step).collect();

@@ -57,6 +57,9 @@ const MAX_RISE: f64 = 4.0;
 /// Error that every level may reach, in diagonals. Where components vanish later levels may reach `ratio` times more each:
 /// scenes of loose parts have nothing else to give.
 const FREE_ERROR: f64 = 2e-2;
+/// Witnesses are asked from the second level on: towards the first most vertices go and errors are small, so that they cost more
+/// than they tell. Models of up to so many positions can afford them from the start.
+const WATCHED_COUNT: usize = 1 << 17;
 /// Collapses that a rank among all of them is estimated from.
 const RANK_SAMPLES: usize = 1 << 16;
 /// Share of the time that goes by until every cluster had its head start, for progress displays.
@@ -134,8 +137,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         if level > 0 {
             patches.par_iter().for_each(|p| lock(p).bury_points());
         }
-        // Towards the first level most vertices go and errors are small: witnesses would cost more than they tell.
-        patches.iter().for_each(|p| lock(p).watchful = level > 0);
+        patches.iter().for_each(|p| lock(p).watchful = level > 0 || input.positions.len() <= WATCHED_COUNT);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
         search.start_level(level, ratio, alive as f64);
         for round in 0..MAX_ROUNDS {

@@ -101,7 +101,7 @@ pub(super) struct Patch {
 
 impl Patch {
     /// Sets up quadrics, corner lists and the queue.
-    pub fn new(input: PatchInput) -> Self {
+    pub fn new(input: PatchInput, watchful: bool) -> Self {
         let n = input.global.len();
         assert!(n <= MAX_VERTICES, "a patch of {n} vertices");
         let mut patch = Patch {
@@ -122,7 +122,7 @@ impl Patch {
             alive: n,
             witness: input.positions.clone(),
             farthest: Vec3::ZERO,
-            watchful: false,
+            watchful,
             input,
         };
         patch.sum_quadrics();
