@@ -6,9 +6,6 @@ use crate::topology::Kind;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Weight of the distance of witnesses at borders, where a vertex has two ways to go instead of six.
-const WITNESS_SHARE: f32 = 1.5;
-
 /// The border between two patches.
 pub(super) struct Seam {
     /// The two clusters, ascending.
@@ -118,7 +115,7 @@ impl Seam {
             let cost = match m.cost {
                 // What was collapsed is near the surface if one side is near it.
                 low if low <= due => {
-                    let far = a.reach(m.to[0]).min(b.reach(m.to[1])) * WITNESS_SHARE;
+                    let far = a.reach(m.to[0]).min(b.reach(m.to[1]));
                     low.max(far).max(a.slide(m.to[0])).max(b.slide(m.to[1]))
                 }
                 high => high,

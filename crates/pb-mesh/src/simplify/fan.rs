@@ -9,7 +9,7 @@ use glam::{Vec3, Vec4};
 const MIN_TURN_COSINE: f32 = 0.25;
 
 /// Squared distance of a witness, in terms of the cost of planes, which is near a mean.
-pub(super) const WITNESS_WEIGHT: f32 = 4.0;
+pub(super) const WITNESS_WEIGHT: f32 = 6.0;
 
 /// Triangles that are worked on at a time.
 pub(super) const LANES: usize = 4;

@@ -485,9 +485,10 @@ impl Patch {
 }
 
 /// What makes the value of a quadric of this weight a cost. Between the mean over its planes, which keeps the largest
-/// distance down, and their sum, which keeps the mean over the whole surface down: the mean times a power (3/8) of the
+/// distance down, and their sum, which keeps the mean over the whole surface down: the mean times a power (7/16) of the
 /// number of triangles behind it.
 pub(super) fn scale(weight: f32, mean_area: f32) -> f32 {
     let quarter = (weight / mean_area).sqrt().sqrt();
-    if weight > 0.0 { (1.0 + quarter * quarter.sqrt()) / weight } else { 0.0 }
+    let eighth = quarter.sqrt();
+    if weight > 0.0 { (1.0 + quarter * eighth * eighth.sqrt()) / weight } else { 0.0 }
 }
