@@ -200,8 +200,8 @@ fn spread_direction(i: u32, n: u32) -> DVec3 {
 #[test]
 fn no_two_clusters_get_the_same_edge() {
     // A flat pentagon with a front and a back, each a cluster: chords from 0 in front, from 1 in the back. The shortest edge
-    // joins 0 and 1, but then both sides would have a chord from there to 3.
-    let positions = [[1000, 0, 0], [990, 140, 0], [309, 951, 0], [-809, 588, 0], [-309, -951, 0]];
+    // joins 0 and 1, but then both sides would have a chord from there to 3. Of the others only 4 is nearly straight.
+    let positions = [[1000, 0, 0], [1000, 14, 0], [309, 951, 0], [-809, 588, 0], [92, 283, 0]];
     let triangles = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [1, 3, 2], [1, 4, 3], [1, 0, 4]];
     let cluster_of = [0, 0, 0, 1, 1, 1];
     let segmentation = Segmentation { order: (0..6).collect(), starts: vec![0, 3, 6], components: vec![0; 5] };
