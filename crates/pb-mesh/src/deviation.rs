@@ -19,7 +19,12 @@ use crate::topology::{Fans, group};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// Shares of the time that have gone by when every position has its nearest triangle, and when the way back begins, for
+/// progress displays.
+const NEAREST_SHARE: f32 = 0.25;
+const BACK_SHARE: f32 = 0.55;
 /// Rounds of walking to better triangles from the first guess.
 const MAX_WALK: usize = 4;
 /// Subdivisions per cluster and level at most.
@@ -92,8 +97,8 @@ struct Nearest {
     corners: u8,
 }
 
-/// Measures one level. `clusters` is the number of clusters.
-pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
+/// Measures one level. `clusters` is the number of clusters; `progress` gets the share that is done.
+pub fn measure(pair: &LevelPair, clusters: usize, progress: &(dyn Fn(f32) + Sync)) -> Deviation {
     let facet = |t: &[u32; 3]| {
         let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
         (pair.positions[t[0] as usize], Facet::new(b, c))
@@ -109,15 +114,24 @@ pub fn measure(pair: &LevelPair, clusters: usize) -> Deviation {
         let better = field.walk_on(v as u32, from);
         *n = (better.distance, better.triangle);
     });
+    progress(NEAREST_SHARE);
     let (starts, own) = group(clusters, pair.cluster_of.as_chunks::<1>().0);
     let own = |c: usize| &own[starts[c] as usize..starts[c + 1] as usize];
-    let shares: Vec<Share> = (0..clusters).into_par_iter().map(|c| field.share(c as u32, own(c), &nearest)).collect();
+    let shared = AtomicUsize::new(0);
+    let share = |c: usize| {
+        let share = field.share(c as u32, own(c), &nearest);
+        let done = (shared.fetch_add(1, Ordering::Relaxed) + 1) as f32 / clusters as f32;
+        progress(NEAREST_SHARE + done * (BACK_SHARE - NEAREST_SHARE));
+        share
+    };
+    let shares: Vec<Share> = (0..clusters).into_par_iter().map(share).collect();
     let others = foreign(&shares);
     let mut max: Vec<f32> =
         (0..clusters).into_par_iter().map(|c| field.cluster_bound(&shares[c], &others[c], &nearest)).collect();
     let all = |c: u32| own(c as usize).iter().chain(&others[c as usize]);
     let back = field.sampled_back(&max, &all);
     back.into_iter().zip(pair.coarse_cluster_of).for_each(|(d, &c)| max[c as usize] = max[c as usize].max(d));
+    progress(1.0);
     let squares = shares.iter().fold((0.0, 0.0), |sum, s| (sum.0 + s.squares.0, sum.1 + s.squares.1));
     Deviation { max, squares }
 }

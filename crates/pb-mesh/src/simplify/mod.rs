@@ -62,8 +62,10 @@ const FREE_ERROR: f64 = 2e-2;
 const WATCHED_COUNT: usize = 1 << 17;
 /// Collapses that a rank among all of them is estimated from.
 const RANK_SAMPLES: usize = 1 << 16;
-/// Share of the time that goes by until every cluster had its head start, for progress displays.
-const HEAD_START_SHARE: f32 = 0.6;
+/// Share of the time that goes by until every cluster had its head start, for progress displays; and what is left of the first
+/// level then, in terms of the second.
+const HEAD_START_SHARE: f64 = 0.6;
+const FIRST_LEVEL: f64 = 0.6;
 
 /// The mesh to simplify. Positions are grid points; the cost unit is the squared grid quantum.
 pub struct UnisonInput<'a> {
@@ -128,7 +130,7 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         return collect(&[], input, forest, counts);
     }
     let mut search = Search::new(input.positions);
-    let early = |share| progress(share * HEAD_START_SHARE);
+    let early = |share| progress(share * HEAD_START_SHARE as f32);
     let (patches, died) = head_start::patches(input, &mut search, &forest, ratio, &early);
     let mut seams = group_seams(build_seams(input, &patches));
     // But for points that vanished components leave.
@@ -152,14 +154,22 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
             let quota = if small { alive - target.round() as usize } else { usize::MAX };
             alive -= run_round(&patches, &mut seams, &search, target / alive as f64, quota);
             search.record(alive as f64);
-            let all = 1.0 - ratio.powi(1 - levels as i32);
-            let dead = ((1.0 - alive as f64 / input.positions.len() as f64) / all).min(1.0) as f32;
-            progress(HEAD_START_SHARE + dead * (1.0 - HEAD_START_SHARE));
+            let way = ((search.start / alive as f64).ln() / (search.start / target).ln()).clamp(0.0, 1.0);
+            progress(share_done(levels - 1, ratio, level, way));
         }
         hand_over(&patches, &mut seams, &forest, level as u8);
         counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
     collect(&patches, input, forest, counts)
+}
+
+/// Share of the time that has gone by when so much of the way to a level is behind: each takes half as long as the one before
+/// where it has a quarter of its vertices.
+fn share_done(steps: usize, ratio: f64, step: usize, way: f64) -> f32 {
+    let weight = |step: usize| if step == 0 { FIRST_LEVEL } else { ratio.powf((1.0 - step as f64) / 2.0) };
+    let before: f64 = (0..step).map(weight).sum();
+    let all: f64 = (0..steps).map(weight).sum();
+    (HEAD_START_SHARE + (1.0 - HEAD_START_SHARE) * (before + way * weight(step)) / all) as f32
 }
 
 fn lock(p: &Mutex<Patch>) -> std::sync::MutexGuard<'_, Patch> {

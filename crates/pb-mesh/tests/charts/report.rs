@@ -20,7 +20,7 @@ fn geometry(mesh: &Charted, collapses: &Collapses, level: u8) -> (f32, f64) {
         ancestors: &(0..count).map(|v| collapses.ancestor(v, level)).collect::<Vec<_>>(),
         open: &(0..count).map(|v| mesh.kinds[v as usize] == pb_mesh::topology::Kind::Open).collect::<Vec<_>>(),
     };
-    let deviation = measure(&pair, mesh.segmentation.len());
+    let deviation = measure(&pair, mesh.segmentation.len(), &|_| ());
     (deviation.max.into_iter().fold(0.0, f32::max), (deviation.squares.0 / deviation.squares.1).sqrt())
 }
 

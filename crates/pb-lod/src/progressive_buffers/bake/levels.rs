@@ -121,7 +121,8 @@ pub(super) fn measure_levels(
                 ancestors: &ancestors.inside_component,
                 open: &open,
             };
-            let deviation = measure(&pair, count);
+            let progress = |share| (outside.progress)(Stage::Measure, work.share(level.into(), share));
+            let deviation = measure(&pair, count, &progress);
             let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
             let bound = |c: usize| {
                 let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
@@ -136,7 +137,7 @@ pub(super) fn measure_levels(
         };
         let next = outside.kept("errors", level.into(), errors);
         list.push(next);
-        (outside.progress)(Stage::Measure, work.share(level.into()));
+        (outside.progress)(Stage::Measure, work.share(level.into(), 1.0));
     }
     list
 }
@@ -151,9 +152,10 @@ impl Work {
         Work((1..counts.len()).map(of).collect())
     }
 
-    /// Share of the levels up to this one.
-    fn share(&self, level: usize) -> f32 {
-        (self.0[..level].iter().sum::<f64>() / self.0.iter().sum::<f64>()) as f32
+    /// Share of the levels before this one, and of so much of it.
+    fn share(&self, level: usize, done: f32) -> f32 {
+        let before: f64 = self.0[..level - 1].iter().sum();
+        ((before + f64::from(done) * self.0[level - 1]) / self.0.iter().sum::<f64>()) as f32
     }
 }
 
