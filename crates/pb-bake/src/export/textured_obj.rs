@@ -21,9 +21,10 @@ pub(super) fn write(path: &Path, model: &Model, level: u32) -> Result<ExportCoun
             let file = path.with_file_name(&name);
             let png = image.png(model.has_cutouts()).map_err(|source| io_error(&file, source))?;
             replace(&file, |out| out.write_all(&png))?;
-            materials += &format!("map_Kd {name}\n");
+            // Charts reach up to the edges of a tile: without it, readers repeat the image there.
+            materials += &format!("map_Kd -clamp on {name}\n");
             if model.has_cutouts() {
-                materials += &format!("map_d -imfchan m {name}\n");
+                materials += &format!("map_d -clamp on -imfchan m {name}\n");
             }
             counts.images += 1;
         }
