@@ -280,3 +280,30 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn triangles_in_no_order_are_sorted_and_nothing_else_changes() {
+    let side = 600u32;
+    let squares: Vec<u32> = (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| y * side + x)).collect();
+    let count = squares.len();
+    let mesh = |step: usize| {
+        let corners = |i: usize| squares[i * step % count];
+        let soup = Soup {
+            positions: (0..side * side).map(|i| [f64::from(i % side), f64::from(i / side), 0.0]).collect(),
+            triangles: (0..count).map(corners).map(|v| [v, v + 1, v + side]).collect(),
+            ..Soup::default()
+        };
+        repair(soup, &RepairOptions::default()).unwrap()
+    };
+    let ((plain, in_order), (sorted, in_none)) = (mesh(1), mesh(100_003));
+    assert!(!in_order.sorted_along_curve && in_none.sorted_along_curve);
+    assert_eq!(RepairReport { sorted_along_curve: false, ..in_none }, in_order);
+    let places = |mesh: &Mesh| {
+        let place = |v: u32| mesh.positions[v as usize].map(f64::to_bits);
+        let mut all: Vec<_> = (0..mesh.triangles.len()).map(|t| mesh.corner_positions(t).map(place)).collect();
+        all.sort_unstable();
+        all
+    };
+    assert_eq!(places(&sorted), places(&plain));
+    assert_ne!(sorted.triangles, plain.triangles);
+}
