@@ -105,7 +105,8 @@ fn bake_into(
         progress.stage(stage_name(stage));
         progress.share(share);
         if stage == Stage::Simplify && share == 0.0 {
-            // The surface is read once more, cluster by cluster; then rounds go over what was made of it.
+            // No other thread is at work. The surface is read once more, cluster by cluster; then rounds go over what was made
+            // of it.
             set_aside(args.temp_folder());
         }
     };

@@ -5,6 +5,7 @@
 //! origin keep their detail. Nothing here repairs or judges a mesh; see [`crate::repair`].
 
 use crate::objects::Objects;
+use rayon::prelude::*;
 use std::io::{self, Write};
 
 /// In [`Soup::material_of`]: a triangle of an input without materials, beside others that have some.
@@ -137,11 +138,16 @@ impl Mesh {
 
     /// Smallest and largest coordinate per axis; `([inf; 3], [-inf; 3])` without positions.
     pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
-        let start = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        self.positions.iter().fold(start, |(low, high), p| {
-            (std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k])))
-        })
+        bounds(&self.positions)
     }
+}
+
+/// Smallest and largest coordinate per axis; `([inf; 3], [-inf; 3])` of no positions.
+pub(crate) fn bounds(positions: &[[f64; 3]]) -> ([f64; 3], [f64; 3]) {
+    let join = |a: ([f64; 3], [f64; 3]), b: ([f64; 3], [f64; 3])| {
+        (std::array::from_fn(|k| a.0[k].min(b.0[k])), std::array::from_fn(|k| a.1[k].max(b.1[k])))
+    };
+    positions.par_iter().map(|p| (*p, *p)).reduce(|| ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]), join)
 }
 
 /// A mesh for other programs: one record per vertex.

@@ -5,7 +5,9 @@
 //! once. The sort is one for large files: a distribution into shards of the curve, chunk by chunk of the input, then shard by
 //! shard. Either pass goes through its input and its output once from front to back.
 
-use crate::mesh::Soup;
+use crate::mesh::{Soup, bounds};
+use crate::topology::group_chunk;
+use crate::weld::distance_squared;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -32,22 +34,25 @@ const BAD_SHARE: f64 = 0.25;
 ///
 /// Positions must be finite, and the soup keep its own rules.
 pub fn sort_where_needed(soup: &mut Soup) -> bool {
-    if soup.positions.len() < MIN_RECORDS || !jumps_about(soup) {
+    if soup.positions.len() < MIN_RECORDS {
         return false;
     }
-    sort(soup);
-    true
+    let bounds = bounds(&soup.positions);
+    let needed = jumps_about(soup, &bounds);
+    if needed {
+        sort(soup, &bounds);
+    }
+    needed
 }
 
 /// Does the order of many triangles, or that of the records they use, say nothing of where they are?
-fn jumps_about(soup: &Soup) -> bool {
+fn jumps_about(soup: &Soup, (low, high): &([f64; 3], [f64; 3])) -> bool {
     let Soup { positions, triangles, .. } = soup;
-    let (low, high) = bounds(positions);
     let far = distance_squared(low, high) * FAR * FAR;
     let step = (triangles.len() / JUDGED).max(1);
     let pairs = || triangles.windows(2).step_by(step);
     let apart = |pair: &&[[u32; 3]]| {
-        let [a, b] = [pair[0][0], pair[1][0]].map(|r| positions[r as usize]);
+        let [a, b] = [pair[0][0], pair[1][0]].map(|r| &positions[r as usize]);
         distance_squared(a, b) > far
     };
     let scattered = |pair: &&[[u32; 3]]| {
@@ -58,8 +63,7 @@ fn jumps_about(soup: &Soup) -> bool {
     bad(pairs().filter(apart).count()) || bad(pairs().filter(scattered).count())
 }
 
-fn sort(soup: &mut Soup) {
-    let (low, high) = bounds(&soup.positions);
+fn sort(soup: &mut Soup, (low, high): &([f64; 3], [f64; 3])) {
     let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     let scale = if extent > 0.0 { f64::from((1u32 << BITS) - 1) / extent } else { 0.0 };
     let place = |p: &[f64; 3]| morton(std::array::from_fn(|k| ((p[k] - low[k]) * scale) as u64));
@@ -186,16 +190,9 @@ fn cuts<T>(items: &[T], key: &impl Fn(&T) -> u64) -> Vec<u64> {
 fn distribute<T>(part: &[T], cuts: &[u64], key: &impl Fn(&T) -> u64) -> (Chunk, Vec<u64>) {
     let keys: Vec<u64> = part.iter().map(key).collect();
     let shards: Vec<u16> = keys.iter().map(|k| cuts.partition_point(|cut| cut <= k) as u16).collect();
-    let mut starts = vec![0u32; cuts.len() + 2];
-    shards.iter().for_each(|&s| starts[usize::from(s) + 1] += 1);
-    for s in 0..=cuts.len() {
-        starts[s + 1] += starts[s];
-    }
-    let (mut next, mut order) = (starts.clone(), vec![0u16; part.len()]);
-    for (i, &s) in shards.iter().enumerate() {
-        order[next[usize::from(s)] as usize] = i as u16;
-        next[usize::from(s)] += 1;
-    }
+    let mut order = vec![0u16; part.len()];
+    let shards = shards.iter().map(|&s| usize::from(s));
+    let starts = group_chunk(cuts.len() + 1, shards, |slot, i| order[slot] = i as u16);
     let keys = order.iter().map(|&i| keys[usize::from(i)]).collect();
     (Chunk { order, starts }, keys)
 }
@@ -210,17 +207,6 @@ fn morton(cell: [u64; 3]) -> u64 {
         (x | x << 2) & 0x1249_2492_4924_9249
     };
     spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
-}
-
-fn bounds(positions: &[[f64; 3]]) -> ([f64; 3], [f64; 3]) {
-    let join = |a: ([f64; 3], [f64; 3]), b: ([f64; 3], [f64; 3])| {
-        (std::array::from_fn(|k| a.0[k].min(b.0[k])), std::array::from_fn(|k| a.1[k].max(b.1[k])))
-    };
-    positions.par_iter().map(|p| (*p, *p)).reduce(|| ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]), join)
-}
-
-fn distance_squared(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum()
 }
 
 #[cfg(test)]
@@ -255,6 +241,10 @@ mod tests {
         }
     }
 
+    fn jumps(soup: &Soup) -> bool {
+        jumps_about(soup, &bounds(&soup.positions))
+    }
+
     fn scattered(i: u64) -> u64 {
         (i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15)
     }
@@ -262,10 +252,10 @@ mod tests {
     #[test]
     fn a_sorted_soup_is_the_same_surface_with_neighbours_near_each_other() {
         let (mixed, plain) = (grid(600, scattered), grid(600, |i| i));
-        assert!(jumps_about(&mixed) && !jumps_about(&plain));
+        assert!(jumps(&mixed) && !jumps(&plain));
         let mut sorted = mixed.clone();
         assert!(sort_where_needed(&mut sorted));
-        assert!(!jumps_about(&sorted));
+        assert!(!jumps(&sorted));
         // Materials number the triangles, colours the records: nothing is lost, mixed up or turned over.
         let by_material = |soup: &Soup| {
             let corner = |r: u32| (soup.positions[r as usize].map(f64::to_bits), soup.colors[r as usize]);
@@ -294,12 +284,12 @@ mod tests {
         let plain = grid(600, |i| i);
         let mut triangles = plain.clone();
         triangles.triangles = grid(600, scattered).material_of.iter().map(|&t| plain.triangles[t as usize]).collect();
-        assert!(jumps_about(&triangles));
+        assert!(jumps(&triangles));
         let mixed = grid(600, scattered);
         let mut in_order: Vec<_> = mixed.material_of.iter().zip(&mixed.triangles).collect();
         in_order.sort_unstable();
         let records = Soup { triangles: in_order.iter().map(|t| *t.1).collect(), ..mixed.clone() };
-        assert!(jumps_about(&records));
+        assert!(jumps(&records));
     }
 
     #[test]
@@ -307,7 +297,7 @@ mod tests {
         let mut soup = grid(600, scattered);
         soup.positions.fill([1.0, 2.0, 3.0]);
         let before = soup.clone();
-        sort(&mut soup);
+        sort(&mut soup, &bounds(&before.positions));
         assert_eq!((soup.colors.len(), soup.positions), (before.colors.len(), before.positions));
     }
 

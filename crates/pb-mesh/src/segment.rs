@@ -5,6 +5,7 @@
 //! After Sander and Mitchell 2005, section 5.1, with a k-d tree instead of a fixed voxel grid: densities
 //! that differ by orders of magnitude still give clusters of like size.
 
+use crate::mesh::bounds;
 use rayon::prelude::*;
 
 /// A component of at most `max_triangles / SMALL_COMPONENT` triangles is kept in one cluster.
@@ -104,8 +105,7 @@ pub fn segment_objects(
 
 /// Sort keys: the centroid of the triangle, or of its whole component where that is small.
 fn keys(positions: &[[f64; 3]], triangles: &[[u32; 3]], component: &[u32], small: usize) -> Vec<Item> {
-    let lo =
-        positions.par_iter().copied().reduce(|| [f64::INFINITY; 3], |a, b| std::array::from_fn(|k| a[k].min(b[k])));
+    let (lo, _) = bounds(positions);
     let centroid = |t: &[u32; 3]| -> [f64; 3] {
         std::array::from_fn(|k| t.iter().map(|&v| positions[v as usize][k] - lo[k]).sum::<f64>() / 3.0)
     };
@@ -180,8 +180,10 @@ fn split(items: &mut [Item], parts: usize, max: usize, corners: &[[u32; 3]], siz
         split(right, parts[1], max, corners, sizes);
     } else {
         let mut right_sizes = Vec::new();
-        let mut right_split = || split(right, parts[1], max, corners, &mut right_sizes);
-        rayon::join(|| split(left, parts[0], max, corners, sizes), &mut right_split);
+        rayon::join(
+            || split(left, parts[0], max, corners, sizes),
+            || split(right, parts[1], max, corners, &mut right_sizes),
+        );
         sizes.append(&mut right_sizes);
     }
 }
@@ -196,39 +198,39 @@ fn fits_indices(items: &[Item], corners: &[[u32; 3]]) -> bool {
     used.len() <= MAX_CLUSTER_VERTICES
 }
 
-/// Reorders `items` around a plane across their longest extent; returns how many are below. The plane has `half` of them
+/// Reorders `items` around a plane along the [`shortest_cut`]; returns how many are below. The plane has `wanted` of them
 /// below, moved to the nearest place where keys differ, so that equal keys stay together.
-fn partition(items: &mut [Item], half: usize) -> usize {
+fn partition(items: &mut [Item], wanted: usize) -> usize {
     let (lo, hi) = key_bounds(items);
     let extent = |k: usize| hi[k] - lo[k];
     let longest = (0..3).max_by(|&a, &b| extent(a).total_cmp(&extent(b))).expect("three axes");
-    let axis = shortest_cut(items, half, extent(longest) * BAND, longest);
+    let axis = shortest_cut(items, wanted, extent(longest) * BAND, longest);
     // Keys are not negative, so that their bits are in the order of their values.
-    items.select_nth_unstable_by_key(half, |i| u64::from(i.key[axis].to_bits()) << 32 | u64::from(i.triangle));
-    let value = items[half].key[axis];
+    items.select_nth_unstable_by_key(wanted, |i| u64::from(i.key[axis].to_bits()) << 32 | u64::from(i.triangle));
+    let value = items[wanted].key[axis];
     if lo[axis] == hi[axis] {
-        return half;
+        return wanted;
     }
-    // Nothing before the item at `half` is above it, nothing after it below.
-    let (before, after) = items.split_at_mut(half);
+    // Nothing before the item at `wanted` is above it, nothing after it below.
+    let (before, after) = items.split_at_mut(wanted);
     let below = before.iter().filter(|i| i.key[axis] < value).count();
-    let not_above = half + after.iter().filter(|i| i.key[axis] == value).count();
-    let cut_low = below > 0 && half - below <= not_above - half || not_above == half + after.len();
+    let not_above = wanted + after.iter().filter(|i| i.key[axis] == value).count();
+    let cut_low = below > 0 && wanted - below <= not_above - wanted || not_above == wanted + after.len();
     match cut_low {
-        true if below == half => {}
+        true if below == wanted => {}
         true => bring_forward(before, |i| i.key[axis] < value),
         false => bring_forward(after, |i| i.key[axis] == value),
     }
     if cut_low { below } else { not_above }
 }
 
-/// The axis along which a cut at `half` has the fewest items within `band` of it, estimated from samples: about the same as the
+/// The axis along which a cut at `wanted` has the fewest items within `band` of it, estimated from samples: about the same as the
 /// shortest border.
-fn shortest_cut(items: &[Item], half: usize, band: f32, longest: usize) -> usize {
+fn shortest_cut(items: &[Item], wanted: usize, band: f32, longest: usize) -> usize {
     let step = (items.len() / CUT_SAMPLES).max(1);
     let near = |k: usize| {
         let mut keys: Vec<f32> = items.iter().step_by(step).map(|i| i.key[k]).collect();
-        let at = (half / step).min(keys.len() - 1);
+        let at = (wanted / step).min(keys.len() - 1);
         let cut = *keys.select_nth_unstable_by(at, f32::total_cmp).1;
         keys.iter().filter(|x| (**x - cut).abs() <= band).count()
     };

@@ -77,6 +77,24 @@ pub fn group<const K: usize>(groups: usize, items: &[[u32; K]]) -> (Vec<u32>, Ve
     (starts, list)
 }
 
+/// The same for one chunk on one thread: `put` gets the place of each item in the list, and the item. The answer is where the
+/// groups begin, and the end.
+pub(crate) fn group_chunk(
+    groups: usize,
+    keys: impl Iterator<Item = usize> + Clone,
+    mut put: impl FnMut(usize, usize),
+) -> Vec<u32> {
+    let mut starts = vec![0u32; groups + 1];
+    keys.clone().for_each(|k| starts[k + 1] += 1);
+    (0..groups).for_each(|k| starts[k + 1] += starts[k]);
+    let mut next = starts.clone();
+    for (item, k) in keys.enumerate() {
+        put(next[k] as usize, item);
+        next[k] += 1;
+    }
+    starts
+}
+
 /// What a position may do, from the triangles around it and the clusters that those belong to (design I2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {

@@ -4,6 +4,7 @@
 //! Both searches answer with the lowest index of each group, so the result depends neither on threads nor on hash
 //! order. Positions must be finite; nothing here moves one.
 
+use crate::topology::group_chunk;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -76,7 +77,7 @@ fn neighbours(cell: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
     })
 }
 
-fn distance_squared(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(crate) fn distance_squared(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum()
 }
 
@@ -92,18 +93,9 @@ impl Partition {
     fn new(positions: &[[f64; 3]], base: usize, shard_count: usize) -> Partition {
         let hashes: Vec<u64> = positions.iter().map(hash).collect();
         let shard_of = |hash: u64| (hash >> 32) as usize & (shard_count - 1);
-        let mut offsets = vec![0u32; shard_count + 1];
-        hashes.iter().for_each(|&h| offsets[shard_of(h) + 1] += 1);
-        for shard in 0..shard_count {
-            offsets[shard + 1] += offsets[shard];
-        }
-        let mut cursor = offsets.clone();
         let mut entries = vec![(0, 0); positions.len()];
-        for (i, &h) in hashes.iter().enumerate() {
-            let slot = &mut cursor[shard_of(h)];
-            entries[*slot as usize] = (h as u32, (base + i) as u32);
-            *slot += 1;
-        }
+        let shards = hashes.iter().map(|&h| shard_of(h));
+        let offsets = group_chunk(shard_count, shards, |slot, i| entries[slot] = (hashes[i] as u32, (base + i) as u32));
         Partition { entries, offsets }
     }
 

@@ -110,8 +110,8 @@ fn set_budget(bound: f64, all: f64, of_files: f64) {
     BUDGET.store(budget as usize, Ordering::Relaxed);
 }
 
-/// Lets pages go where too many are resident: first those that nobody uses or that were set aside, then those of the temporary file, one part
-/// after the other all around, then those of mapped files.
+/// Lets pages go where too many are resident: first those that nobody uses or that were set aside, then those of the
+/// temporary file, one part after the other all around, then those of mapped files.
 fn relieve(statm: &File, bound: f64, hand: &mut usize) {
     let above = |share: f64| resident(statm).is_some_and(|(all, _)| all > bound * share);
     let Some((all, of_files)) = resident(statm) else { return };

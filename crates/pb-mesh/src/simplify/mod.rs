@@ -137,9 +137,12 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let mut alive = input.positions.len() - died;
     for level in 0..levels - 1 {
         if level > 0 {
-            patches.par_iter().for_each(|p| lock(p).bury_points());
+            patches.par_iter().for_each(|p| {
+                let mut p = lock(p);
+                p.bury_points();
+                p.watchful = true;
+            });
         }
-        patches.iter().for_each(|p| lock(p).watchful = level > 0 || input.positions.len() <= WATCHED_COUNT);
         let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
         search.start_level(level, ratio, alive as f64);
         for round in 0..MAX_ROUNDS {

@@ -87,7 +87,8 @@ pub struct TextureInput<'a> {
 /// What a bake reaches of the world outside.
 #[derive(Clone, Copy)]
 pub struct Outside<'a> {
-    /// Called from any thread with a stage and the share of it that is done.
+    /// Called from any thread with a stage and the share of it that is done. A share of 0 comes once, where the stage begins:
+    /// no other thread of the bake is at work then.
     pub progress: &'a (dyn Fn(Stage, f32) + Sync),
     /// Where finished chunks wait until they are written.
     pub spill: &'a Spill,
