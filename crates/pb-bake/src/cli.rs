@@ -3,7 +3,7 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use pb_bake::images::DecodeOptions;
 use pb_bake::import::{ImportOptions, Instancing};
-use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_CLUSTER_TRIANGLES, DEFAULT_TILE_SIZE};
+use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_TILE_SIZE};
 use pb_mesh::normals::{NormalOptions, NormalWeight};
 use pb_mesh::repair::RepairOptions;
 use std::path::{Path, PathBuf};
@@ -68,9 +68,10 @@ pub struct BakeArgs {
     /// How many times fewer vertices each level has; 2 gives finer steps and asks for about twice the levels
     #[arg(long, value_name = "R", default_value_t = 4.0, value_parser = ratio)]
     pub ratio: f64,
-    /// Triangles per cluster, the unit of streaming and of culling
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_CLUSTER_TRIANGLES, value_parser = cluster_triangles)]
-    pub cluster_triangles: usize,
+    /// Triangles per cluster at most, the unit of streaming and of culling [default: 32768; 65536 for meshes of up to 262144
+    /// triangles, 16384 with textures]
+    #[arg(long, value_name = "N", value_parser = cluster_triangles)]
+    pub cluster_triangles: Option<usize>,
     /// Threads to use; all cores unless given. The result is the same whatever their number
     #[arg(long, value_name = "N", value_parser = threads)]
     pub threads: Option<usize>,

@@ -238,7 +238,7 @@ fn origin(args: &BakeArgs) -> String {
     inputs.iter().for_each(|path| file("input", path));
     texture.iter().for_each(|path| file("texture", path));
     xatlas_helper.iter().for_each(|path| file("helper", path));
-    let _ = writeln!(text, "levels {levels} {ratio} {cluster_triangles}");
+    let _ = writeln!(text, "levels {levels} {ratio} {cluster_triangles:?}");
     let _ =
         writeln!(text, "textures {strict} {charts:?} {tile_size} {normal_map} {texture_quality:?} {texture_format:?}");
     let _ = writeln!(text, "instances {expand_instances}");

@@ -85,7 +85,7 @@ fn bounds_hold(name: &str, soup: Soup, options: &BakeOptions) {
 
 #[test]
 fn no_sample_is_further_from_the_input_than_its_cluster_states() {
-    let options = BakeOptions { cluster_triangles: 1500, ..BakeOptions::default() };
+    let options = BakeOptions { cluster_triangles: Some(1500), ..BakeOptions::default() };
     bounds_hold("torus", torus(24), &options);
     for name in ["sphere.ply", "terrain.ply"] {
         bounds_hold(name, small_fixture(name), &options);
@@ -97,7 +97,11 @@ fn no_sample_is_further_from_a_scan_than_its_cluster_states() {
     for name in ["obj_spot/spot_triangulated.obj", "manifold_tests/self_intersectA.obj", "scan_ycb_chain/textured.obj"]
     {
         if let Some(path) = fixture(name) {
-            bounds_hold(name, read_obj(&path), &BakeOptions { cluster_triangles: 4000, ..BakeOptions::default() });
+            bounds_hold(
+                name,
+                read_obj(&path),
+                &BakeOptions { cluster_triangles: Some(4000), ..BakeOptions::default() },
+            );
         }
     }
 }
@@ -132,7 +136,7 @@ fn crumbs(count: u32) -> Soup {
 
 #[test]
 fn each_level_of_loose_parts_draws_a_quarter_of_them() {
-    let model = baked(crumbs(8000), &BakeOptions { cluster_triangles: 8000, ..BakeOptions::default() });
+    let model = baked(crumbs(8000), &BakeOptions { cluster_triangles: Some(8000), ..BakeOptions::default() });
     let rows = model.model_levels();
     for level in 1..rows.len() {
         let ratio = rows[level - 1].triangles as f64 / rows[level].triangles as f64;

@@ -13,7 +13,7 @@ const VIEWS: u32 = 200;
 
 /// Small clusters, so that there are many borders and corners.
 fn options(levels: u32, ratio: f64, cluster_triangles: usize) -> BakeOptions {
-    BakeOptions { levels, ratio, cluster_triangles }
+    BakeOptions { levels, ratio, cluster_triangles: Some(cluster_triangles) }
 }
 
 fn assert_closed_in_all_views(name: &str, model: &Decoded) {

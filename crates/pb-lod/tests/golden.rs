@@ -17,7 +17,7 @@ fn table() -> String {
          |---|---|---|---|---|---|---|---|\n",
     );
     for name in FIXTURES {
-        let model = baked(small_fixture(name), &BakeOptions { cluster_triangles: 500, ..BakeOptions::default() });
+        let model = baked(small_fixture(name), &BakeOptions { cluster_triangles: Some(500), ..BakeOptions::default() });
         let clusters = model.record().clusters;
         for (level, row) in (0..).zip(model.model_levels()) {
             let chunk = |c| model.archive().chunk(model.chunk_id(c, level).0).expect("a sound chunk").len();
@@ -48,7 +48,7 @@ fn levels_of_the_small_fixtures_are_those_of_the_golden_table() {
 #[test]
 fn error_never_falls_towards_coarse() {
     for name in FIXTURES {
-        let model = baked(small_fixture(name), &BakeOptions { cluster_triangles: 500, ..BakeOptions::default() });
+        let model = baked(small_fixture(name), &BakeOptions { cluster_triangles: Some(500), ..BakeOptions::default() });
         for cluster in 0..model.record().clusters {
             let errors: Vec<f32> = (0..model.levels()).map(|l| model.level(cluster, l).error).collect();
             assert!(errors.is_sorted(), "{name}, cluster {cluster}: {errors:?}");

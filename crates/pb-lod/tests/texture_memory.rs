@@ -63,7 +63,7 @@ fn bake(across: u32, spill: &Spill) -> (usize, usize) {
         charts: ChartOptions { mode: ChartMode::Source, tile_size: 512, charter: None },
         texels: TexelOptions { compress: false, ..TexelOptions::default() },
     };
-    let options = BakeOptions { cluster_triangles: 128, ..BakeOptions::default() };
+    let options = BakeOptions { cluster_triangles: Some(128), ..BakeOptions::default() };
     // On one thread: each more would have a tile at work.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
     let outside = Outside { spill, ..Outside::nothing() };

@@ -81,7 +81,7 @@ fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) ->
         charts: ChartOptions { mode, tile_size: 512, charter: None },
         texels: TexelOptions::default(),
     };
-    let options = BakeOptions { levels: LEVELS, cluster_triangles, ..BakeOptions::default() };
+    let options = BakeOptions { levels: LEVELS, cluster_triangles: Some(cluster_triangles), ..BakeOptions::default() };
     let (model, report) =
         bake_textured(mesh, Some(&textures), count, &options, &Outside::nothing()).expect("options in range");
     (opened(&model), report)
@@ -107,7 +107,7 @@ fn baked_with_normals(mut soup: Soup, paint: Option<[u8; 4]>) -> Model {
         charts: ChartOptions { mode: ChartMode::Best, tile_size: 4096, charter: None },
         texels: TexelOptions { normal_space: NormalSpace::Object, ..TexelOptions::default() },
     };
-    let options = BakeOptions { levels: LEVELS, cluster_triangles: 4096, ..BakeOptions::default() };
+    let options = BakeOptions { levels: LEVELS, cluster_triangles: Some(4096), ..BakeOptions::default() };
     let baked = bake_textured(mesh, Some(&textures), count as u64, &options, &Outside::nothing());
     opened(&baked.expect("options in range").0)
 }

@@ -10,8 +10,10 @@
 //! Guthe et al. 2005 for the pruning by the largest distance known so far).
 
 mod back;
+mod estimate;
 mod texture;
 
+pub use estimate::{Estimate, estimate};
 pub use texture::{TextureDeviation, texture_deviation};
 
 use crate::closest::{Facet, closest_of_four, closest_on_segment, closest_on_triangle, height_over, segment_distance};
@@ -99,21 +101,9 @@ struct Nearest {
 
 /// Measures one level. `clusters` is the number of clusters; `progress` gets the share that is done.
 pub fn measure(pair: &LevelPair, clusters: usize, progress: &(dyn Fn(f32) + Sync)) -> Deviation {
-    let facet = |t: &[u32; 3]| {
-        let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
-        (pair.positions[t[0] as usize], Facet::new(b, c))
-    };
-    let facets: Vec<([i32; 3], Facet)> = pair.coarse.par_iter().map(facet).collect();
+    let facets = facets(pair);
     let field = Field { pair, fans: pair.fans, facets: &facets };
-    let mut nearest: Vec<(f32, u32)> =
-        (0..pair.positions.len() as u32).into_par_iter().map(|v| field.nearest_of(v)).collect();
-    let large = root_mean_square(&nearest) * LARGE;
-    nearest.par_iter_mut().enumerate().filter(|(_, n)| n.0 > large && n.1 != NONE).for_each(|(v, n)| {
-        let image = closest_on_triangle(Vec3::ZERO, field.corners(v as u32, n.1));
-        let from = Mapped { at: Vec3::ZERO, image, distance: n.0, triangle: n.1 };
-        let better = field.walk_on(v as u32, from);
-        *n = (better.distance, better.triangle);
-    });
+    let nearest = field.nearest();
     progress(NEAREST_SHARE);
     let (starts, own) = group(clusters, pair.cluster_of.as_chunks::<1>().0);
     let own = |c: usize| &own[starts[c] as usize..starts[c + 1] as usize];
@@ -134,6 +124,15 @@ pub fn measure(pair: &LevelPair, clusters: usize, progress: &(dyn Fn(f32) + Sync
     progress(1.0);
     let squares = shares.iter().fold((0.0, 0.0), |sum, s| (sum.0 + s.squares.0, sum.1 + s.squares.1));
     Deviation { max, squares }
+}
+
+/// The coarse triangles, each after its first corner.
+fn facets(pair: &LevelPair) -> Vec<([i32; 3], Facet)> {
+    let facet = |t: &[u32; 3]| {
+        let [b, c] = [t[1], t[2]].map(|v| relative(pair.positions, t[0], v));
+        (pair.positions[t[0] as usize], Facet::new(b, c))
+    };
+    pair.coarse.par_iter().map(facet).collect()
 }
 
 /// What one look at the input triangles of a cluster tells.
@@ -183,6 +182,20 @@ struct Field<'a> {
 }
 
 impl Field<'_> {
+    /// Distance of every input position to the coarse surface, and the triangle it is nearest to.
+    fn nearest(&self) -> Vec<(f32, u32)> {
+        let positions = 0..self.pair.positions.len() as u32;
+        let mut nearest: Vec<(f32, u32)> = positions.into_par_iter().map(|v| self.nearest_of(v)).collect();
+        let large = root_mean_square(&nearest) * LARGE;
+        nearest.par_iter_mut().enumerate().filter(|(_, n)| n.0 > large && n.1 != NONE).for_each(|(v, n)| {
+            let image = closest_on_triangle(Vec3::ZERO, self.corners(v as u32, n.1));
+            let from = Mapped { at: Vec3::ZERO, image, distance: n.0, triangle: n.1 };
+            let better = self.walk_on(v as u32, from);
+            *n = (better.distance, better.triangle);
+        });
+        nearest
+    }
+
     /// Distance of input position `v` to the coarse surface, and the triangle it is nearest to.
     fn nearest_of(&self, v: u32) -> (f32, u32) {
         if self.pair.fine.around(v).is_empty() {
@@ -299,12 +312,17 @@ impl Field<'_> {
                 _ => c,
             });
             (0..3).filter(|&k| on[k] != c && !on[..k].contains(&on[k])).for_each(|k| share.abroad.push((on[k], t)));
-            let edge = |k: usize| relative(self.pair.positions, corners[0], corners[k]);
-            let area = f64::from(edge(1).cross(edge(2)).length()) * 0.5;
-            let mean = images.iter().map(|i| f64::from(i.0).powi(2)).sum::<f64>() / 3.0;
-            share.squares = (share.squares.0 + mean * area, share.squares.1 + area);
+            let (square, area) = self.weighted_square(corners, images);
+            share.squares = (share.squares.0 + square, share.squares.1 + area);
         }
         share
+    }
+
+    /// The mean squared distance of the corners of an input triangle times its area, and the area.
+    fn weighted_square(&self, corners: [u32; 3], images: [(f32, u32); 3]) -> (f64, f64) {
+        let edge = |k: usize| relative(self.pair.positions, corners[0], corners[k]);
+        let area = f64::from(edge(1).cross(edge(2)).length()) * 0.5;
+        (images.iter().map(|i| f64::from(i.0).powi(2)).sum::<f64>() / 3.0 * area, area)
     }
 
     fn borders_distance(&self, t: [u32; 3]) -> f32 {

@@ -19,11 +19,21 @@ const MAX_STEPS: u32 = 12;
 
 /// How many corners of the nearest triangle a walk looks around at each step.
 #[derive(Clone, Copy, PartialEq)]
-enum Walk {
+pub(super) enum Walk {
     /// The nearest one.
     Quick,
     /// All three.
     Thorough,
+}
+
+/// Barycentric coordinates of the points of a lattice with so many steps along each edge of a triangle, without its corners, and the
+/// number of the nearest corner.
+pub(super) fn inner_points(steps: u32) -> impl Iterator<Item = ([f32; 3], usize)> {
+    let all = (0..=steps).flat_map(move |i| (0..=steps - i).map(move |j| [i, j, steps - i - j]));
+    all.filter(move |p| p.iter().all(|&x| x < steps)).map(move |[i, j, k]| {
+        let nearest = if i >= j && i >= k { 0 } else { 1 + usize::from(k > j) };
+        ([i, j, k].map(|x| x as f32 / steps as f32), nearest)
+    })
 }
 
 impl Field<'_> {
@@ -54,12 +64,14 @@ impl Field<'_> {
             let steps = typical.max((typical as f32 * length / mean) as u32).min(MAX_STEPS);
             let enough = (floor / GOOD_ENOUGH).powi(2);
             let distance = |at: Vec3, k: usize| {
-                let quick = self.distance_back(tri, at, k, Walk::Quick, enough) * GOOD_ENOUGH;
+                let quick = self.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) * GOOD_ENOUGH;
                 if quick <= floor {
                     return quick;
                 }
-                let thorough =
-                    (0..3).map(|k| self.distance_back(tri, at, k, Walk::Thorough, 0.0)).fold(f32::INFINITY, f32::min);
+                let thorough = tri
+                    .map(|v| self.distance_back([tri[0], v], at, Walk::Thorough, 0.0))
+                    .into_iter()
+                    .fold(f32::INFINITY, f32::min);
                 if few && thorough * GOOD_ENOUGH > floor * UNREFINED {
                     // Thin parts hold walks up.
                     return thorough.min(self.distance_to_all(tri[0], at, covered(cluster))) * GOOD_ENOUGH;
@@ -67,15 +79,8 @@ impl Field<'_> {
                 thorough * GOOD_ENOUGH
             };
             let mut most = distance((p[0] + p[1] + p[2]) / 3.0, 0);
-            for i in 0..=steps {
-                for j in 0..=steps - i {
-                    let k = steps - i - j;
-                    if i.max(j).max(k) < steps {
-                        let at = (p[0] * i as f32 + p[1] * j as f32 + p[2] * k as f32) / steps as f32;
-                        let nearest = if i >= j && i >= k { 0 } else { 1 + usize::from(k > j) };
-                        most = most.max(distance(at, nearest));
-                    }
-                }
+            for (weights, nearest) in inner_points(steps) {
+                most = most.max(distance(p[0] * weights[0] + p[1] * weights[1] + p[2] * weights[2], nearest));
             }
             most
         };
@@ -121,10 +126,10 @@ impl Field<'_> {
         tri.iter().all(|&v| !self.pair.fine.around(v).is_empty())
     }
 
-    /// Walks over the input from corner `k` of a coarse triangle down to `at`, relative to corner 0; goes no further where
-    /// the squared distance is not above `enough`.
-    fn distance_back(&self, tri: &[u32; 3], at: Vec3, k: usize, walk: Walk, enough: f32) -> f32 {
-        let (start, square) = self.nearest_vertex(tri[0], tri[k], at, enough);
+    /// Walks over the input from position `start` down to `at`, relative to position `origin`; goes no further where the squared
+    /// distance is not above `enough`.
+    pub(super) fn distance_back(&self, [origin, start]: [u32; 2], at: Vec3, walk: Walk, enough: f32) -> f32 {
+        let (start, square) = self.nearest_vertex(origin, start, at, enough);
         if square <= enough && !self.pair.fine.around(start).is_empty() {
             return square.sqrt();
         }
@@ -136,7 +141,7 @@ impl Field<'_> {
             for &center in centers {
                 for &t in self.pair.fine.around(center) {
                     let fine = self.pair.triangles[t as usize];
-                    let corners = fine.map(|v| relative(self.pair.positions, tri[0], v));
+                    let corners = fine.map(|v| relative(self.pair.positions, origin, v));
                     let square = closest_feature(at, corners).0.distance_squared(at);
                     if square < best {
                         best = square;

@@ -1,12 +1,13 @@
 //! Collapses along the border of two clusters, on both sides at once (design I2).
 
 use super::corner_lists::NONE;
-use super::patch::{Patch, scale};
+use super::patch::Patch;
 use crate::topology::Kind;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// The border between two patches.
+#[derive(Clone)]
 pub(super) struct Seam {
     /// The two clusters, ascending.
     pub clusters: [u32; 2],
@@ -22,6 +23,9 @@ struct Known {
     cost: f32,
     weights: [f32; 2],
 }
+
+/// Outdated as soon as it is asked for.
+const UNKNOWN: Known = Known { cost: f32::INFINITY, weights: [f32::NAN; 2] };
 
 impl Known {
     /// A vertex that charts hold may come free when triangles next to it go, which its weights do not tell.
@@ -49,7 +53,7 @@ enum Choice {
 
 impl Seam {
     pub fn new(clusters: [u32; 2], vertices: Vec<[u32; 2]>) -> Self {
-        let known = vec![Known { cost: f32::INFINITY, weights: [f32::NAN; 2] }; vertices.len()];
+        let known = vec![UNKNOWN; vertices.len()];
         Seam { clusters, vertices, known }
     }
 
@@ -64,6 +68,11 @@ impl Seam {
             .filter(|(v, _)| !v.contains(&NONE))
             .unzip();
         (self.vertices, self.known) = (vertices, known);
+    }
+
+    /// Forgets what moves cost: they are weighed anew.
+    pub fn reweigh(&mut self) {
+        self.known.iter_mut().for_each(|k| *k = UNKNOWN);
     }
 
     /// Collapses border vertices, cheapest first, while the cost is at most `limit`; returns how many, at most `quota`.
@@ -193,5 +202,5 @@ fn joint_cost(a: &Patch, b: &Patch, v: [u32; 2], to: [u32; 2]) -> f32 {
     };
     let ((sum_a, bend_a), (sum_b, bend_b)) = (side(a, v[0], to[0]), side(b, v[1], to[1]));
     let weight = weights(a, b, v).iter().sum();
-    (sum_a + sum_b) * scale(weight, a.input.mean_area) + bend_a.max(bend_b)
+    (sum_a + sum_b) * a.weights.scale(weight, a.input.mean_area) + bend_a.max(bend_b)
 }

@@ -46,6 +46,7 @@ fn area([p, q, r]: [[i32; 2]; 3]) -> i64 {
 }
 
 /// The charts of a cluster. Wedges have local numbers here, those of a vertex next to each other.
+#[derive(Clone)]
 pub(super) struct Charts {
     /// Wedges of vertex `v`: `starts[v]` to `starts[v + 1]`.
     starts: Vec<u32>,

@@ -20,6 +20,14 @@ impl Forest {
         }
     }
 
+    /// The position that stands for `v` at `level`, as far as collapses were handed over.
+    pub fn ancestor(&self, mut v: u32, level: u8) -> u32 {
+        while self.last_level[v as usize].load(Ordering::Relaxed) < level {
+            v = self.parent[v as usize].load(Ordering::Relaxed);
+        }
+        v
+    }
+
     /// Parents and last levels.
     pub fn into_inner(self) -> (Vec<u32>, Vec<u8>) {
         let parent = self.parent.into_iter().map(AtomicU32::into_inner).collect();
@@ -28,6 +36,16 @@ impl Forest {
 }
 
 impl Patch {
+    /// Adds the living positions and triangles, over positions of the mesh.
+    pub fn add_surface(&self, positions: &mut Vec<u32>, triangles: &mut Vec<[u32; 3]>) {
+        for v in (0..self.living.len() as u32).filter(|&v| self.living[v as usize]) {
+            positions.push(self.input.global[v as usize]);
+            // Each triangle once: at its lowest corner.
+            let own = self.corners.around(v).iter().filter(|c| v < c.a && v < c.b);
+            triangles.extend(own.map(|c| [v, c.a, c.b].map(|x| self.input.global[x as usize])));
+        }
+    }
+
     /// Writes the collapses since the last time, all of one level, and forgets the dead. Returns the new number of each
     /// vertex, [`NONE`] for the dead; `None` where numbers stay: with textures, whose wedges are numbered by vertex, and
     /// where few died.

@@ -33,7 +33,7 @@ impl Span {
 }
 
 /// Lists of the corners of living triangles.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct CornerLists {
     spans: Vec<Span>,
     corners: Vec<Corner>,

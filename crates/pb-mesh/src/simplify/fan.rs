@@ -8,9 +8,6 @@ use glam::{Vec3, Vec4};
 /// A triangle may turn by at most about 75 degrees in one collapse.
 const MIN_TURN_COSINE: f32 = 0.25;
 
-/// Squared distance of a witness, in terms of the cost of planes, which is near a mean.
-pub(super) const WITNESS_WEIGHT: f32 = 6.0;
-
 /// Triangles that are worked on at a time.
 pub(super) const LANES: usize = 4;
 
@@ -42,7 +39,7 @@ pub(super) struct Lanes {
 }
 
 /// The living triangles around a vertex.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Fan {
     pub center: u32,
     pub spokes: Vec<Spoke>,
@@ -150,7 +147,7 @@ impl Patch {
             }
         }
         self.farthest = far.1;
-        far.0 * WITNESS_WEIGHT
+        far.0 * self.weights.witness
     }
 }
 

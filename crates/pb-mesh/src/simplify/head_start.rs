@@ -15,7 +15,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Clusters that the limit is found with, at least; every so many-th.
-const SAMPLED: usize = 24;
+const SAMPLED: usize = 8;
 /// The limit leaves this share of what is to die at the first level: the borders, which wait meanwhile, are to take part.
 const LEFT: f64 = 0.07;
 /// Rounds over the sampled clusters at most.

@@ -18,7 +18,9 @@ mod quadric;
 mod queue;
 mod slide;
 mod stretch;
+mod tries;
 mod vanish;
+mod weights;
 
 pub use charts::UvInput;
 
@@ -31,6 +33,8 @@ use glam::Vec3;
 use patch::Patch;
 use rayon::prelude::*;
 use std::sync::Mutex;
+use tries::Tries;
+use weights::{COARSE_LEVEL, Weights};
 
 /// A level is reached when the vertex count is within this factor of its target.
 const TARGET_TOLERANCE: f64 = 1.01;
@@ -53,7 +57,9 @@ const FIRST_LIMIT: f32 = 1e-14;
 const STALL_RISE: f32 = 4.0;
 const STALL_SHARE: f64 = 0.97;
 /// How much faster than the squared ratio a level's cost limit may rise above the one before.
-const MAX_RISE: f64 = 4.0;
+const MAX_RISE: f64 = 2.0;
+/// Costs change by at most this factor as they are weighed anew: where they were nothing before, that says nothing.
+const MAX_RESCALE: f32 = 10.0;
 /// Error that every level may reach, in diagonals. Where components vanish later levels may reach `ratio` times more each:
 /// scenes of loose parts have nothing else to give.
 const FREE_ERROR: f64 = 2e-2;
@@ -132,38 +138,88 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let mut search = Search::new(input.positions);
     let early = |share| progress(share * HEAD_START_SHARE as f32);
     let (patches, died) = head_start::patches(input, &mut search, &forest, ratio, &early);
-    let mut seams = group_seams(build_seams(input, &patches));
-    // But for points that vanished components leave.
-    let mut alive = input.positions.len() - died;
+    let seams = group_seams(build_seams(input, &patches));
+    let mut tries = Tries::new(input);
+    let mut state = State { patches, seams, search, alive: input.positions.len() - died };
     for level in 0..levels - 1 {
+        let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
+        state.start_level(level, ratio);
+        let report = |way| progress(share_done(levels - 1, ratio, level, way));
+        if level == COARSE_LEVEL {
+            state.reweigh(Weights::COARSE, target);
+        }
+        if level == 0 || !tries.run_level(&mut state, target) {
+            state.run_level(target, level > 0, &report);
+        }
+        report(1.0);
+        hand_over(&state.patches, &mut state.seams, &forest, level as u8);
+        tries.end_level(&state, &forest, level as u8 + 1);
+        counts.push(state.alive + state.patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
+    }
+    collect(&state.patches, input, forest, counts)
+}
+
+impl Clone for State {
+    fn clone(&self) -> Self {
+        let (seams, search) = (self.seams.clone(), self.search.clone());
+        let patches = self.patches.iter().map(|p| Mutex::new(lock(p).clone())).collect();
+        State { patches, seams, search, alive: self.alive }
+    }
+}
+
+/// A mesh in the middle of its simplification.
+struct State {
+    patches: Vec<Mutex<Patch>>,
+    /// In groups that share no cluster.
+    seams: Vec<Vec<Seam>>,
+    search: Search,
+    /// Positions that live, but for points that vanished components leave.
+    alive: usize,
+}
+
+impl State {
+    /// Gets ready for the collapses of a level.
+    fn start_level(&mut self, level: usize, ratio: f64) {
         if level > 0 {
-            patches.par_iter().for_each(|p| {
+            self.patches.par_iter().for_each(|p| {
                 let mut p = lock(p);
                 p.bury_points();
                 p.watchful = true;
             });
         }
-        let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
-        search.start_level(level, ratio, alive as f64);
+        self.search.start_level(level, ratio, self.alive as f64);
+    }
+
+    /// Goes on with other weights. The limits stay where they are in terms of the costs that the way to `target` begins with.
+    fn reweigh(&mut self, weights: Weights, target: f64) {
+        let rank = (self.alive as f64 - target) as usize / 2;
+        let before = cost_of_rank(&self.patches, rank);
+        self.patches.par_iter().for_each(|p| lock(p).reweigh(weights));
+        self.seams.iter_mut().flatten().for_each(Seam::reweigh);
+        if let (Some(before), Some(after)) = (before.filter(|b| *b > 0.0), cost_of_rank(&self.patches, rank)) {
+            self.search.rescale((after / before).clamp(1.0 / MAX_RESCALE, MAX_RESCALE));
+        }
+    }
+
+    /// Rounds until so many positions are left, or the shape allows no less. `raise` says that the limit is to rise before the first
+    /// one; `report` gets the share of the way that is behind.
+    fn run_level(&mut self, target: f64, raise: bool, report: &dyn Fn(f64)) {
         for round in 0..MAX_ROUNDS {
-            let small = (alive as f64) < SMALL_COUNT;
+            let count = self.alive as f64;
+            let small = count < SMALL_COUNT;
             let enough = if small { target.round() } else { target * TARGET_TOLERANCE };
-            if alive as f64 <= enough || search.exhausted() {
+            if count <= enough || self.search.exhausted() {
                 break;
             }
-            if round > 0 || level > 0 {
-                search.advance(&patches, alive as f64, target);
+            if round > 0 || raise {
+                self.search.advance(&self.patches, count, target);
             }
-            let quota = if small { alive - target.round() as usize } else { usize::MAX };
-            alive -= run_round(&patches, &mut seams, &search, target / alive as f64, quota);
-            search.record(alive as f64);
-            let way = ((search.start / alive as f64).ln() / (search.start / target).ln()).clamp(0.0, 1.0);
-            progress(share_done(levels - 1, ratio, level, way));
+            let quota = if small { self.alive - target.round() as usize } else { usize::MAX };
+            self.alive -= run_round(&self.patches, &mut self.seams, &self.search, target / count, quota);
+            self.search.record(self.alive as f64);
+            report(((self.search.start / self.alive as f64).ln() / (self.search.start / target).ln()).clamp(0.0, 1.0));
         }
-        hand_over(&patches, &mut seams, &forest, level as u8);
-        counts.push(alive + patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
-    collect(&patches, input, forest, counts)
 }
 
 /// Share of the time that has gone by when so much of the way to a level is behind: each takes half as long as the one before
@@ -205,6 +261,7 @@ fn run_round(patches: &[Mutex<Patch>], seams: &mut [Vec<Seam>], search: &Search,
 }
 
 /// The cost limit of the rounds, steered so that counts come down on their targets from above.
+#[derive(Clone)]
 struct Search {
     limit: f32,
     /// Limit of this level: a mesh whose shape does not allow the target keeps more vertices instead of its worst. Of
@@ -255,6 +312,7 @@ impl Search {
     fn start_level(&mut self, level: usize, ratio: f64, count: f64) {
         let natural = match level {
             0 => 0.0,
+            _ if self.stalled || self.limit >= self.ends[0] => f64::from(self.limit),
             _ => f64::from(self.limit) * ratio * ratio * MAX_RISE,
         };
         let end = |free: f64| (natural.max(f64::from(self.diagonal) * free * free) as f32).min(self.diagonal);
@@ -267,6 +325,13 @@ impl Search {
 
     fn exhausted(&self) -> bool {
         self.stalled || self.limit >= self.ends[1]
+    }
+
+    /// Costs are weighed anew, and come to so many times what they were.
+    fn rescale(&mut self, factor: f32) {
+        self.limit *= factor;
+        self.progress.0 *= factor;
+        self.ends = self.ends.map(|e| (e * factor).min(self.diagonal));
     }
 
     /// What collapses may cost now.

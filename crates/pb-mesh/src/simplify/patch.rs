@@ -6,9 +6,10 @@
 
 use super::charts::Charts;
 use super::corner_lists::{CornerLists, NONE};
-use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, WITNESS_WEIGHT, dot};
+use super::fan::{Fan, LANES, Lanes, MAX_VERTICES, Spoke, dot};
 use super::quadric::Quadric;
 use super::queue::Queue;
+use super::weights::Weights;
 use crate::closest::closest_on_segment;
 use crate::topology::Kind;
 use glam::{Vec3, Vec4};
@@ -25,6 +26,7 @@ pub(super) const EPOCH: u32 = 4;
 const LENGTH_WEIGHT: f32 = 1e-6;
 
 /// Input of a patch: everything in local indices.
+#[derive(Clone)]
 pub(super) struct PatchInput {
     /// Position index of each local vertex, ascending.
     pub global: Vec<u32>,
@@ -66,6 +68,7 @@ enum Known {
 }
 
 /// A cluster in the middle of its simplification.
+#[derive(Clone)]
 pub(super) struct Patch {
     pub input: PatchInput,
     /// Which vertices still live.
@@ -73,7 +76,7 @@ pub(super) struct Patch {
     /// Positions that collapsed since they were last handed over, and onto which.
     pub(super) graves: Vec<[u32; 2]>,
     pub(super) quadrics: Vec<Quadric>,
-    /// What makes each quadric's value a cost; see [`scale`].
+    /// What makes each quadric's value a cost; see [`Weights::scale`].
     pub(super) scales: Vec<f32>,
     /// Cheapest target of each vertex and its cost, in squared quanta.
     pub(super) best: Vec<(f32, u32)>,
@@ -97,6 +100,8 @@ pub(super) struct Patch {
     pub(super) farthest: Vec3,
     /// Do costs count the distance of witnesses?
     pub(super) watchful: bool,
+    /// What costs are made of.
+    pub(super) weights: Weights,
 }
 
 impl Patch {
@@ -123,17 +128,24 @@ impl Patch {
             witness: input.positions.clone(),
             farthest: Vec3::ZERO,
             watchful,
+            weights: Weights::FINE,
             input,
         };
         patch.sum_quadrics();
         patch.input.triangles = Vec::new();
-        patch.scales = patch.quadrics.iter().map(|q| scale(q.weight, patch.input.mean_area)).collect();
-        for v in 0..n as u32 {
-            if patch.moves_alone(v) {
-                patch.best[v as usize] = patch.cheapest(v);
+        patch.reweigh(Weights::FINE);
+        patch
+    }
+
+    /// Sets all costs anew.
+    pub fn reweigh(&mut self, weights: Weights) {
+        self.weights = weights;
+        self.scales = self.quadrics.iter().map(|q| weights.scale(q.weight, self.input.mean_area)).collect();
+        for v in 0..self.living.len() as u32 {
+            if self.moves_alone(v) {
+                self.best[v as usize] = self.cheapest(v);
             }
         }
-        patch
     }
 
     /// Vertices that still live here, border vertices included.
@@ -267,7 +279,7 @@ impl Patch {
             1 => (b - a).cross(c - a).length() / (a.distance(b) + b.distance(c) + c.distance(a)).max(f32::MIN_POSITIVE),
             _ => closest_on_segment(a, b, c).distance(a),
         };
-        far * far * WITNESS_WEIGHT
+        far * far * self.weights.witness
     }
 
     /// Costs of moving `v` onto where four of its spokes start, without those of texture.
@@ -287,7 +299,7 @@ impl Patch {
         self.quadrics[v as usize].at(d) * self.scales[v as usize] + self.appearance_cost(v, u, d) + self.stretch(u)
     }
 
-    /// See [`scale`].
+    /// See [`Weights::scale`].
     pub fn scale_of(&self, v: u32) -> f32 {
         self.scales[v as usize]
     }
@@ -424,7 +436,7 @@ impl Patch {
         let d = self.input.positions[u as usize] - self.input.positions[v as usize];
         let q = self.quadrics[v as usize].moved(d);
         self.quadrics[u as usize].add(&q);
-        self.scales[u as usize] = scale(self.quadrics[u as usize].weight, self.input.mean_area);
+        self.scales[u as usize] = self.weights.scale(self.quadrics[u as usize].weight, self.input.mean_area);
         if let Some(third) = self.closed_hole(u) {
             for x in [u, third] {
                 if self.input.kinds[x as usize] == Kind::Open {
@@ -482,13 +494,4 @@ impl Patch {
             }
         }
     }
-}
-
-/// What makes the value of a quadric of this weight a cost. Between the mean over its planes, which keeps the largest
-/// distance down, and their sum, which keeps the mean over the whole surface down: the mean times a power (7/16) of the
-/// number of triangles behind it.
-pub(super) fn scale(weight: f32, mean_area: f32) -> f32 {
-    let quarter = (weight / mean_area).sqrt().sqrt();
-    let eighth = quarter.sqrt();
-    if weight > 0.0 { (1.0 + quarter * eighth * eighth.sqrt()) / weight } else { 0.0 }
 }

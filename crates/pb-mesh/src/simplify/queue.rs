@@ -19,6 +19,7 @@ struct Entry {
 }
 
 /// A queue of vertices, cheapest first; of costs that share a list, the latest first.
+#[derive(Clone)]
 pub(super) struct Queue {
     /// Most that an entry may cost.
     limit: f32,

@@ -10,7 +10,7 @@ impl Patch {
     pub fn vanish(&mut self, limit: f32, quota: usize) -> usize {
         let mut count = 0;
         while let Some(&(size, _)) = self.input.components.last() {
-            if size > limit || count >= quota {
+            if size * self.weights.vanish > limit || count >= quota {
                 break;
             }
             let (_, members) = self.input.components.pop().expect("just seen");

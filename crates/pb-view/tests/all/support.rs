@@ -168,7 +168,7 @@ pub fn hilly() -> &'static Path {
 
 fn baked(name: &str, soup: Soup, levels: u32) -> PathBuf {
     let path = folder("archives").join(name);
-    bake_to(&path, soup, &BakeOptions { levels, cluster_triangles: 2048, ..BakeOptions::default() });
+    bake_to(&path, soup, &BakeOptions { levels, cluster_triangles: Some(2048), ..BakeOptions::default() });
     path
 }
 

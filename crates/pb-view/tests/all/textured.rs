@@ -35,7 +35,7 @@ fn bake_hills_as(name: &str, mut soup: Soup, image: Image, mode: ChartMode, mut 
         charts: ChartOptions { mode, tile_size: 512, charter: None },
         texels: TexelOptions { quality: Quality::Fast, ..TexelOptions::default() },
     };
-    let options = BakeOptions { levels: 4, cluster_triangles: 2048, ..BakeOptions::default() };
+    let options = BakeOptions { levels: 4, cluster_triangles: Some(2048), ..BakeOptions::default() };
     let (model, _) = bake_textured(mesh, Some(&textures), triangles, &options, &Outside::nothing()).unwrap();
     let path = folder("archives").join(name);
     write_model(Writer::create(&path, SCHEME, Overwrite::Force).unwrap(), &model).unwrap();

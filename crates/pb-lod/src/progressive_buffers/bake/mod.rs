@@ -48,9 +48,15 @@ use tiles::fill_tiles;
 
 /// Most neighbours that border slots can name.
 const MAX_NEIGHBOURS: usize = 255;
-/// Default for [`BakeOptions::cluster_triangles`]; docs/performance.md has the measurement behind it.
-pub const DEFAULT_CLUSTER_TRIANGLES: usize = 16_384;
-
+/// Defaults for [`BakeOptions::cluster_triangles`]; docs/decisions/006-levels-and-bounds.md has the measurements behind them.
+pub const CLUSTER_TRIANGLES: usize = 32_768;
+/// The same for meshes of at most [`SMALL_MESH`] triangles: their coarse levels have so few vertices that borders of clusters
+/// would take most of them.
+pub const SMALL_MESH_CLUSTER_TRIANGLES: usize = 65_536;
+/// See [`SMALL_MESH_CLUSTER_TRIANGLES`].
+pub const SMALL_MESH: usize = 262_144;
+/// The same with textures, whose tiles are bounded.
+pub const TEXTURED_CLUSTER_TRIANGLES: usize = 16_384;
 /// Most triangles of a cluster with textures: in the worst case each has three vertices of its own, and indices are u16.
 const MAX_TEXTURED_TRIANGLES: usize = 21_845;
 
@@ -61,13 +67,13 @@ pub struct BakeOptions {
     pub levels: u32,
     /// Vertices of a level over vertices of the next coarser one, above 1.
     pub ratio: f64,
-    /// Most triangles of a cluster.
-    pub cluster_triangles: usize,
+    /// Most triangles of a cluster; `None`: as many as suit the mesh, such as [`CLUSTER_TRIANGLES`].
+    pub cluster_triangles: Option<usize>,
 }
 
 impl Default for BakeOptions {
     fn default() -> Self {
-        BakeOptions { levels: 5, ratio: 4.0, cluster_triangles: DEFAULT_CLUSTER_TRIANGLES }
+        BakeOptions { levels: 5, ratio: 4.0, cluster_triangles: None }
     }
 }
 
@@ -210,8 +216,13 @@ pub fn bake_textured(
     let levels = options.levels as usize;
     progress(Stage::Segment, 0.0);
     let (mut surface, positions) = Surface::new(mesh);
-    let sizing = textures.map(|t| sizing(&surface, t, options.cluster_triangles.min(MAX_TEXTURED_TRIANGLES)));
-    let max_triangles = sizing.map_or(options.cluster_triangles, |s| s.cluster_triangles);
+    let wanted = options.cluster_triangles.unwrap_or(match surface.triangles.len() {
+        _ if textures.is_some() => TEXTURED_CLUSTER_TRIANGLES,
+        ..=SMALL_MESH => SMALL_MESH_CLUSTER_TRIANGLES,
+        _ => CLUSTER_TRIANGLES,
+    });
+    let sizing = textures.map(|t| sizing(&surface, t, wanted.min(MAX_TEXTURED_TRIANGLES)));
+    let max_triangles = sizing.map_or(wanted, |s| s.cluster_triangles);
     let clusters = Clusters::new(&mut surface, positions, max_triangles, outside);
     let tiles = textures.map(|t| {
         progress(Stage::Charts, 0.0);
@@ -275,8 +286,8 @@ fn check(mesh: &Mesh, textures: Option<&TextureInput>, options: &BakeOptions) ->
     if !(1.2..=64.0).contains(&options.ratio) {
         return Err(BakeError::Ratio(options.ratio));
     }
-    if !(64..=1_000_000).contains(&options.cluster_triangles) {
-        return Err(BakeError::ClusterTriangles(options.cluster_triangles));
+    if let Some(wanted) = options.cluster_triangles.filter(|n| !(64..=1_000_000).contains(n)) {
+        return Err(BakeError::ClusterTriangles(wanted));
     }
     if mesh.triangles.len() > 1_000_000_000 {
         return Err(BakeError::TooLarge(mesh.triangles.len()));

@@ -1,0 +1,144 @@
+//! A quick estimate of the distance between two levels, where several are to be compared.
+
+use super::back::{Walk, inner_points};
+use super::{Field, LevelPair, NONE, facets, relative};
+use crate::topology::group;
+use glam::Vec3;
+
+/// Samples along the edge of a coarse triangle at most.
+const MAX_STEPS: u32 = 8;
+
+/// Distances between a surface and a level of it, grid quanta.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate {
+    /// Mean square over the finer surface, by area.
+    pub mean_square: f64,
+    /// The largest that was seen, both ways.
+    pub max: f32,
+}
+
+/// Estimates by the finer surface's positions, and by points of the coarse triangles, about as many. Asks for no clusters
+/// of the pair.
+pub fn estimate(pair: &LevelPair) -> Estimate {
+    let facets = facets(pair);
+    let field = Field { pair, fans: pair.fans, facets: &facets };
+    let nearest = field.nearest();
+    let (mut squares, mut areas, mut max) = (0.0, 0.0, 0f32);
+    for &t in pair.triangles {
+        let images = t.map(|v| nearest[v as usize]);
+        let (square, area) = field.weighted_square(t, images);
+        (squares, areas) = (squares + square, areas + area);
+        max = images.iter().filter(|i| i.1 != NONE).map(|i| i.0).fold(max, f32::max);
+    }
+    let per_triangle = pair.positions.len() as f32 / pair.coarse.len().max(1) as f32;
+    let steps = ((2.0 * per_triangle).sqrt() as u32).clamp(2, MAX_STEPS);
+    let below = Below::new(&nearest, pair.coarse.len());
+    for (i, tri) in pair.coarse.iter().enumerate() {
+        let p = tri.map(|v| relative(pair.positions, tri[0], v));
+        let mut look = |at: Vec3, k: usize| {
+            let enough = max * max;
+            if field.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) > max {
+                // A walk from a corner may end in another fold; one from where the surface maps onto the triangle does not.
+                let square = |&v: &u32| relative(pair.positions, tri[0], v).distance_squared(at);
+                let near = below.of(i).iter().chain(tri).min_by(|a, b| square(a).total_cmp(&square(b)));
+                let starts = near.into_iter().chain(tri);
+                let far = |&v: &u32| field.distance_back([tri[0], v], at, Walk::Thorough, enough);
+                max = max.max(starts.map(far).fold(f32::INFINITY, f32::min));
+            }
+        };
+        for (weights, nearest) in inner_points(steps) {
+            look(p[0] * weights[0] + p[1] * weights[1] + p[2] * weights[2], nearest);
+        }
+        look((p[0] + p[1] + p[2]) / 3.0, 0);
+    }
+    Estimate { mean_square: squares / f64::max(areas, f64::MIN_POSITIVE), max }
+}
+
+/// The positions that map onto each coarse triangle.
+struct Below {
+    starts: Vec<u32>,
+    positions: Vec<u32>,
+}
+
+impl Below {
+    fn new(nearest: &[(f32, u32)], triangles: usize) -> Self {
+        let keys: Vec<[u32; 1]> = nearest.iter().map(|n| [n.1.min(triangles as u32)]).collect();
+        let (starts, positions) = group(triangles + 1, &keys);
+        Below { starts, positions }
+    }
+
+    fn of(&self, triangle: usize) -> &[u32] {
+        &self.positions[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::closest::closest_on_triangle;
+    use crate::topology::Fans;
+
+    /// A wavy sheet of squares, and for every position the corner of its block of four by four squares.
+    fn sheet(side: u32) -> (Vec<[i32; 3]>, Vec<[u32; 3]>, Vec<u32>) {
+        let at = |x: u32, y: u32| y * (side + 1) + x;
+        let height = |x: u32, y: u32| 900.0 * ((x as f32 * 0.31).sin() + (y as f32 * 0.23 + x as f32 * 0.07).cos());
+        let all = || (0..=side).flat_map(move |y| (0..=side).map(move |x| (x, y)));
+        let positions = all().map(|(x, y)| [x as i32 * 500, y as i32 * 500, height(x, y) as i32]).collect();
+        let squares = all().filter(|&(x, y)| x < side && y < side);
+        let halves = |(x, y)| [[at(x, y), at(x + 1, y), at(x, y + 1)], [at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)]];
+        (positions, squares.flat_map(halves).collect(), all().map(|(x, y)| at(x / 4 * 4, y / 4 * 4)).collect())
+    }
+
+    #[test]
+    fn it_is_near_what_a_look_at_all_triangles_tells() {
+        let (positions, triangles, ancestors) = sheet(40);
+        let shrunk = triangles.iter().map(|t| t.map(|v| ancestors[v as usize]));
+        let coarse: Vec<[u32; 3]> = shrunk.filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).collect();
+        let found = estimate(&LevelPair {
+            positions: &positions,
+            triangles: &triangles,
+            fine: &Fans::new(positions.len(), &triangles),
+            cluster_of: &[],
+            coarse: &coarse,
+            fans: &Fans::new(positions.len(), &coarse),
+            coarse_cluster_of: &[],
+            ancestors: &ancestors,
+            open: &vec![false; positions.len()],
+        });
+        let at = |v: u32| Vec3::from_array(positions[v as usize].map(|x| x as f32));
+        let distance = |p: Vec3, to: &[[u32; 3]]| {
+            to.iter().map(|t| closest_on_triangle(p, t.map(at)).distance(p)).fold(f32::INFINITY, f32::min)
+        };
+        let there: Vec<f32> = (0..positions.len() as u32).map(|v| distance(at(v), &coarse)).collect();
+        let points = |t: &[u32; 3]| {
+            let p = t.map(at);
+            inner_points(6).map(move |(w, _)| p[0] * w[0] + p[1] * w[1] + p[2] * w[2]).collect::<Vec<_>>()
+        };
+        let back = coarse.iter().flat_map(points).map(|p| distance(p, &triangles)).fold(0.0, f32::max);
+        let max = there.iter().copied().fold(back, f32::max);
+        let mean = (there.iter().map(|d| d * d).sum::<f32>() / there.len() as f32).sqrt();
+        let (found_mean, found_max) = (found.mean_square.sqrt() as f32, found.max);
+        assert!((found_max / max - 1.0).abs() < 0.1, "{found_max} instead of {max}");
+        assert!((found_mean / mean - 1.0).abs() < 0.1, "{found_mean} instead of {mean}");
+    }
+
+    #[test]
+    fn a_level_that_is_the_surface_is_not_away_from_it() {
+        let (positions, triangles, _) = sheet(12);
+        let (fans, open) = (Fans::new(positions.len(), &triangles), vec![false; positions.len()]);
+        let ancestors: Vec<u32> = (0..positions.len() as u32).collect();
+        let found = estimate(&LevelPair {
+            positions: &positions,
+            triangles: &triangles,
+            fine: &fans,
+            cluster_of: &[],
+            coarse: &triangles,
+            fans: &fans,
+            coarse_cluster_of: &[],
+            ancestors: &ancestors,
+            open: &open,
+        });
+        assert_eq!(found.mean_square, 0.0);
+        assert!(found.max < 0.01, "{}", found.max);
+    }
+}
