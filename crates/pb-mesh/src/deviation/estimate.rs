@@ -2,11 +2,15 @@
 
 use super::back::{Walk, inner_points};
 use super::{Field, LevelPair, NONE, facets, relative};
+use crate::closest::closest_on_triangle;
 use crate::topology::group;
 use glam::Vec3;
 
 /// Samples along the edge of a coarse triangle at most.
 const MAX_STEPS: u32 = 8;
+
+/// Triangles that are looked at for the positions of vanished components at most.
+const MAX_LOOKS: usize = 1 << 20;
 
 /// Distances between a surface and a level of it, grid quanta.
 #[derive(Clone, Copy, Debug)]
@@ -22,13 +26,14 @@ pub struct Estimate {
 pub fn estimate(pair: &LevelPair) -> Estimate {
     let facets = facets(pair);
     let field = Field { pair, fans: pair.fans, facets: &facets };
-    let nearest = field.nearest();
+    let mut nearest = field.nearest();
+    find_lost(&field, &mut nearest);
     let (mut squares, mut areas, mut max) = (0.0, 0.0, 0f32);
     for &t in pair.triangles {
         let images = t.map(|v| nearest[v as usize]);
         let (square, area) = field.weighted_square(t, images);
         (squares, areas) = (squares + square, areas + area);
-        max = images.iter().filter(|i| i.1 != NONE).map(|i| i.0).fold(max, f32::max);
+        max = images.iter().map(|i| i.0).fold(max, f32::max);
     }
     let per_triangle = pair.positions.len() as f32 / pair.coarse.len().max(1) as f32;
     let steps = ((2.0 * per_triangle).sqrt() as u32).clamp(2, MAX_STEPS);
@@ -54,6 +59,20 @@ pub fn estimate(pair: &LevelPair) -> Estimate {
     Estimate { mean_square: squares / f64::max(areas, f64::MIN_POSITIVE), max }
 }
 
+/// Positions of components that have vanished are as far away as the rest of the level is. Where there are too many of them for a
+/// look at all triangles, they count with the size of the component.
+fn find_lost(field: &Field, nearest: &mut [(f32, u32)]) {
+    let is_lost = |v: usize| nearest[v].1 == NONE && !field.pair.fine.around(v as u32).is_empty();
+    let lost: Vec<usize> = (0..nearest.len()).filter(|&v| is_lost(v)).collect();
+    if lost.len() * field.pair.coarse.len() > MAX_LOOKS {
+        return;
+    }
+    for v in lost {
+        let to = |t: u32| closest_on_triangle(Vec3::ZERO, field.corners(v as u32, t)).length();
+        nearest[v].0 = (0..field.pair.coarse.len() as u32).map(to).fold(f32::INFINITY, f32::min);
+    }
+}
+
 /// The positions that map onto each coarse triangle.
 struct Below {
     starts: Vec<u32>,
@@ -75,7 +94,6 @@ impl Below {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::closest::closest_on_triangle;
     use crate::topology::Fans;
 
     /// A wavy sheet of squares, and for every position the corner of its block of four by four squares.
@@ -120,6 +138,29 @@ mod tests {
         let (found_mean, found_max) = (found.mean_square.sqrt() as f32, found.max);
         assert!((found_max / max - 1.0).abs() < 0.1, "{found_max} instead of {max}");
         assert!((found_mean / mean - 1.0).abs() < 0.1, "{found_mean} instead of {mean}");
+    }
+
+    #[test]
+    fn a_component_that_vanished_is_as_far_away_as_what_is_left() {
+        let (mut positions, mut triangles, _) = sheet(12);
+        let (first, sheet) = (positions.len() as u32, triangles.clone());
+        let top = positions.iter().map(|p| p[2]).max().unwrap() + 4000;
+        positions.extend([[2600, 2600, top], [2700, 2600, top], [2600, 2700, top]]);
+        triangles.push([first, first + 1, first + 2]);
+        let mut ancestors: Vec<u32> = (0..first + 3).collect();
+        ancestors[first as usize..].fill(first);
+        let found = estimate(&LevelPair {
+            positions: &positions,
+            triangles: &triangles,
+            fine: &Fans::new(positions.len(), &triangles),
+            cluster_of: &[],
+            coarse: &sheet,
+            fans: &Fans::new(positions.len(), &sheet),
+            coarse_cluster_of: &[],
+            ancestors: &ancestors,
+            open: &vec![false; positions.len()],
+        });
+        assert!((3000.0..9000.0).contains(&found.max), "{}", found.max);
     }
 
     #[test]
