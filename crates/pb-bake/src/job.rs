@@ -203,9 +203,7 @@ fn origin(args: &BakeArgs) -> String {
     let program = std::env::current_exe().and_then(fs::read).map(|bytes| xxh3_64(&bytes));
     let mut text = format!("program {} {:016x}\n", env!("CARGO_PKG_VERSION"), program.unwrap_or_default());
     let mut file = |kind: &str, path: &Path| {
-        let full = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        let (length, changed) = fs::metadata(path).map(|m| (m.len(), m.modified().ok())).unwrap_or_default();
-        let _ = writeln!(text, "{kind} {full:?} {length} {changed:?}");
+        let _ = writeln!(text, "{kind} {}", stamp(path));
     };
     let BakeArgs {
         inputs,
@@ -245,6 +243,13 @@ fn origin(args: &BakeArgs) -> String {
     let _ = writeln!(text, "xatlas {xatlas_time_limit}");
     let _ = writeln!(text, "repairs {weld_tolerance} {crease_angle} {normals:?}");
     text
+}
+
+/// What tells a file from what it is after a change: path, size, time.
+fn stamp(path: &Path) -> String {
+    let full = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let (length, changed) = fs::metadata(path).map(|m| (m.len(), m.modified().ok())).unwrap_or_default();
+    format!("{full:?} {length} {changed:?}")
 }
 
 /// What has changed, in words.

@@ -26,6 +26,7 @@ use pb_mesh::repair::{MAX_TRIANGLE_COUNT, first_bad_position};
 use serde::{Deserialize, Serialize};
 pub(crate) use source::Source;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Most different warnings that are kept per input.
 const MAX_WARNING_COUNT: usize = 20;
@@ -95,6 +96,8 @@ pub struct InputReport {
     pub vertices: usize,
     /// Meshes that stand in several places.
     pub instances: InstanceCounts,
+    /// Files that it refers to and that were read: buffers and material libraries, but no images.
+    pub companions: Vec<PathBuf>,
     /// What was odd but no reason to refuse it.
     pub warnings: Vec<String>,
 }
@@ -135,7 +138,10 @@ pub fn load(
         let max_triangles = options.max_triangles.saturating_sub(scene.soup.triangles.len());
         let wants_uvs = options.texture.is_some();
         let keeps_instances = options.instancing == Instancing::Keep;
-        let input = Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs, keeps_instances };
+        let companions = Mutex::default();
+        let companions = &companions;
+        let input =
+            Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs, keeps_instances, companions };
         let (model, warnings) = read(format, &input, options.texture.as_deref())?;
         if scene.soup.positions.len() + model.soup.positions.len() >= u32::MAX as usize {
             return Err(too_many(&name, options.max_triangles));
@@ -148,6 +154,7 @@ pub fn load(
             triangles: model.soup.triangles.len(),
             vertices: model.soup.positions.len(),
             instances: model.instances,
+            companions: input.companions(),
             warnings,
         });
         scene.append(model);
@@ -170,8 +177,16 @@ pub fn load(
 /// See [`ImportError`]; messages call the input "input".
 pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(Model, Vec<String>), ImportError> {
     let max_triangles = ImportOptions::default().max_triangles;
-    let input =
-        Input { name: "input", path: None, bytes, base, max_triangles, wants_uvs: false, keeps_instances: true };
+    let input = Input {
+        name: "input",
+        path: None,
+        bytes,
+        base,
+        max_triangles,
+        wants_uvs: false,
+        keeps_instances: true,
+        companions: &Mutex::default(),
+    };
     let (mut model, warnings) = read(format, &input, None)?;
     model.finish();
     Ok((model, warnings))
@@ -191,6 +206,23 @@ struct Input<'a> {
     wants_uvs: bool,
     /// Meshes that stand in several places become objects.
     keeps_instances: bool,
+    /// Files that it refers to and that were read so far.
+    companions: &'a Mutex<Vec<PathBuf>>,
+}
+
+impl Input<'_> {
+    /// Notes that this file was read as a part of the model.
+    fn has_companion(&self, path: &Path) {
+        self.companions.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_owned());
+    }
+
+    /// All that were noted, each once.
+    fn companions(&self) -> Vec<PathBuf> {
+        let mut list = self.companions.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        list.sort_unstable();
+        list.dedup();
+        list
+    }
 }
 
 /// `texture`: for models without images of their own.

@@ -161,6 +161,7 @@ impl Libraries<'_> {
                 warnings.add(format!("the material library \"{name}\" {text}"));
                 continue;
             };
+            self.input.has_companion(&path);
             let folders: Vec<&Path> = path.parent().into_iter().chain(self.input.base).collect();
             let mut around = Surroundings { model: self.input.name, folders: &folders, images, warnings };
             mtl::parse(&bytes, &mut around, materials);

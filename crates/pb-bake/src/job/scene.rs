@@ -14,6 +14,7 @@ use pb_mesh::objects::{Objects, Placement};
 use pb_mesh::repair::RepairReport;
 use pb_mesh::split::Added;
 use std::io::{Error, Read, Result, Write};
+use std::path::PathBuf;
 use xxhash_rust::xxh3::Xxh3;
 
 /// Names of the steps.
@@ -24,16 +25,28 @@ const SUM: &str = "sum";
 const BLOCK: usize = 1 << 14;
 
 impl Job<'_> {
-    /// The scene without images that was kept.
-    pub fn load_scene(&self) -> Option<Scene> {
-        let mut input = self.load(MESH, 0)?;
-        let (inputs, repairs, mesh) = read(&mut input).ok()?;
-        Some(Scene { mesh, materials: Vec::new(), images: Vec::new(), inputs, repairs, textures: None })
+    /// The scene without images that was kept. Where a file that an input refers to has changed since, all that was kept goes.
+    pub fn load_scene(&mut self) -> Option<Scene> {
+        let (stamps, scene) = {
+            let mut input = self.load(MESH, 0)?;
+            let stamps = take_list::<u8>(&mut input).ok()?;
+            let (inputs, repairs, mesh) = read(&mut input).ok()?;
+            (stamps, Scene { mesh, materials: Vec::new(), images: Vec::new(), inputs, repairs, textures: None })
+        };
+        if stamps == stamps_of(&scene.inputs).as_bytes() {
+            return Some(scene);
+        }
+        self.progress.note("a file that the input refers to has changed since the bake was cut short; it begins anew");
+        self.clear();
+        None
     }
 
     /// Keeps a scene without images.
     pub fn save_scene(&self, scene: &Scene) {
-        self.save(MESH, 0, &|out| write(scene, out));
+        self.save(MESH, 0, &|out| {
+            put_list(out, stamps_of(&scene.inputs).as_bytes())?;
+            write(scene, out)
+        });
     }
 
     /// Whether a scene with images is the one that the steps were kept for; the first one is.
@@ -57,6 +70,12 @@ impl Job<'_> {
             }
         }
     }
+}
+
+/// Size and time of all files that the inputs refer to; the inputs' own are in the job's origin.
+fn stamps_of(inputs: &[InputReport]) -> String {
+    let stamp = |path: &PathBuf| format!("{}\n", super::stamp(path));
+    inputs.iter().flat_map(|input| &input.companions).map(stamp).collect()
 }
 
 struct Sum(Xxh3);
@@ -224,6 +243,7 @@ mod tests {
             triangles: 2,
             vertices: 4,
             instances: pb_bake::import::InstanceCounts { objects: 2, instances: 3, apart: 1 },
+            companions: vec!["c d.mtl".into()],
             warnings: vec!["odd".into()],
         };
         let scene = Scene {

@@ -138,6 +138,30 @@ fn what_was_kept_of_another_input_or_other_options_is_not_used() {
 }
 
 #[test]
+fn what_was_kept_is_not_used_when_a_file_that_the_input_refers_to_has_changed() {
+    let place = Place::new();
+    place.write("colours.mtl", b"newmtl m\nKd 1 0 0\n");
+    place.write("large.obj", format!("mtllib colours.mtl\nusemtl m\n{}", wave(300)).as_bytes());
+    let cut_short = || {
+        let mut child = after_stage(&place, &["large.obj", "large.pb"], "simplify");
+        child.kill().unwrap();
+        child.wait().unwrap();
+    };
+    cut_short();
+    let run = place.run(&["large.obj", "large.pb", "--resume", "--json"]).succeeds();
+    assert!(!run.json()["resumed"].as_array().unwrap().is_empty());
+    let before = place.read("large.pb");
+    std::fs::remove_file(place.path("large.pb")).unwrap();
+
+    cut_short();
+    place.write("colours.mtl", b"newmtl m\nKd 0 0.5 1\n");
+    let run = place.run(&["large.obj", "large.pb", "--resume"]).succeeds();
+    assert!(run.stderr.contains("a file that the input refers to has changed"), "{}", run.stderr);
+    place.run(&["large.obj", "fresh.pb"]).succeeds();
+    assert!(place.read("large.pb") == place.read("fresh.pb") && place.read("large.pb") != before);
+}
+
+#[test]
 fn a_damaged_state_is_made_again() {
     let place = killed();
     let folder = place.files().into_iter().find(|name| name.ends_with(".job")).unwrap();

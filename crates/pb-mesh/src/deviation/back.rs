@@ -2,6 +2,7 @@
 
 use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, UNREFINED, longest_edge, relative};
 use crate::closest::{closest_feature, closest_on_triangle};
+use crate::topology::group;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -36,6 +37,29 @@ pub(super) fn inner_points(steps: u32) -> impl Iterator<Item = ([f32; 3], usize)
     })
 }
 
+/// The positions that map onto each coarse triangle: a walk from a corner of it may end in another fold of the input, one from there
+/// does not.
+pub(super) struct Below {
+    starts: Vec<u32>,
+    positions: Vec<u32>,
+}
+
+impl Below {
+    pub fn new(nearest: &[(f32, u32)], triangles: usize) -> Self {
+        let keys: Vec<[u32; 1]> = nearest.iter().map(|n| [n.1.min(triangles as u32)]).collect();
+        let (starts, positions) = group(triangles + 1, &keys);
+        Below { starts, positions }
+    }
+
+    /// The one of them that is nearest to `at`, relative to the triangle's first corner.
+    pub fn nearest(&self, field: &Field, triangle: usize, at: Vec3) -> Option<u32> {
+        let own = &self.positions[self.starts[triangle] as usize..self.starts[triangle + 1] as usize];
+        let origin = field.pair.coarse[triangle][0];
+        let square = |v: &u32| relative(field.pair.positions, origin, *v).distance_squared(at);
+        own.iter().copied().min_by(|a, b| square(a).total_cmp(&square(b)))
+    }
+}
+
 impl Field<'_> {
     /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
     /// where the map is torn, by a fold, coarse parts may lie outside of it. One answer per coarse triangle, only as
@@ -44,6 +68,7 @@ impl Field<'_> {
     pub(super) fn sampled_back<'a, I: Iterator<Item = &'a u32>>(
         &self,
         floors: &[f32],
+        nearest: &[(f32, u32)],
         covered: &(impl Fn(u32) -> I + Sync),
     ) -> Vec<f32> {
         // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
@@ -54,7 +79,8 @@ impl Field<'_> {
         let longest = |tri: &[u32; 3]| longest_edge(tri.map(|v| relative(self.pair.positions, tri[0], v)));
         let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
         let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
-        let samples = |((tri, &cluster), &length): ((&[u32; 3], &u32), &f32)| {
+        let below = few.then(|| Below::new(nearest, self.pair.coarse.len()));
+        let samples = |(i, ((tri, &cluster), &length)): (usize, ((&[u32; 3], &u32), &f32))| {
             let floor = floors[cluster as usize];
             // The corners are points of the input, and no point of the triangle is further from them than this.
             if length * FARTHEST_FROM_CORNERS * GOOD_ENOUGH <= floor && self.on_input(tri) {
@@ -63,15 +89,14 @@ impl Field<'_> {
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             let steps = typical.max((typical as f32 * length / mean) as u32).min(MAX_STEPS);
             let enough = (floor / GOOD_ENOUGH).powi(2);
+            let start = |at: Vec3| below.as_ref().and_then(|b| b.nearest(self, i, at));
             let distance = |at: Vec3, k: usize| {
                 let quick = self.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) * GOOD_ENOUGH;
                 if quick <= floor {
                     return quick;
                 }
-                let thorough = tri
-                    .map(|v| self.distance_back([tri[0], v], at, Walk::Thorough, 0.0))
-                    .into_iter()
-                    .fold(f32::INFINITY, f32::min);
+                let far = |v: u32| self.distance_back([tri[0], v], at, Walk::Thorough, 0.0);
+                let thorough = start(at).into_iter().chain(*tri).map(far).fold(f32::INFINITY, f32::min);
                 if few && thorough * GOOD_ENOUGH > floor * UNREFINED {
                     // Thin parts hold walks up.
                     return thorough.min(self.distance_to_all(tri[0], at, covered(cluster))) * GOOD_ENOUGH;
@@ -84,7 +109,7 @@ impl Field<'_> {
             }
             most
         };
-        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).zip(&lengths).map(samples).collect()
+        self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).zip(&lengths).enumerate().map(samples).collect()
     }
 
     /// Distance of `at`, relative to `origin`, from some triangles of the input.

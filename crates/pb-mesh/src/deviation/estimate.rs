@@ -1,9 +1,8 @@
 //! A quick estimate of the distance between two levels, where several are to be compared.
 
-use super::back::{Walk, inner_points};
+use super::back::{Below, Walk, inner_points};
 use super::{Field, LevelPair, NONE, facets, relative};
 use crate::closest::closest_on_triangle;
-use crate::topology::group;
 use glam::Vec3;
 
 /// Samples along the edge of a coarse triangle at most.
@@ -43,11 +42,8 @@ pub fn estimate(pair: &LevelPair) -> Estimate {
         let mut look = |at: Vec3, k: usize| {
             let enough = max * max;
             if field.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) > max {
-                // A walk from a corner may end in another fold; one from where the surface maps onto the triangle does not.
-                let square = |&v: &u32| relative(pair.positions, tri[0], v).distance_squared(at);
-                let near = below.of(i).iter().chain(tri).min_by(|a, b| square(a).total_cmp(&square(b)));
-                let starts = near.into_iter().chain(tri);
-                let far = |&v: &u32| field.distance_back([tri[0], v], at, Walk::Thorough, enough);
+                let starts = below.nearest(&field, i, at).into_iter().chain(*tri);
+                let far = |v: u32| field.distance_back([tri[0], v], at, Walk::Thorough, enough);
                 max = max.max(starts.map(far).fold(f32::INFINITY, f32::min));
             }
         };
@@ -70,24 +66,6 @@ fn find_lost(field: &Field, nearest: &mut [(f32, u32)]) {
     for v in lost {
         let to = |t: u32| closest_on_triangle(Vec3::ZERO, field.corners(v as u32, t)).length();
         nearest[v].0 = (0..field.pair.coarse.len() as u32).map(to).fold(f32::INFINITY, f32::min);
-    }
-}
-
-/// The positions that map onto each coarse triangle.
-struct Below {
-    starts: Vec<u32>,
-    positions: Vec<u32>,
-}
-
-impl Below {
-    fn new(nearest: &[(f32, u32)], triangles: usize) -> Self {
-        let keys: Vec<[u32; 1]> = nearest.iter().map(|n| [n.1.min(triangles as u32)]).collect();
-        let (starts, positions) = group(triangles + 1, &keys);
-        Below { starts, positions }
-    }
-
-    fn of(&self, triangle: usize) -> &[u32] {
-        &self.positions[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
     }
 }
 

@@ -18,7 +18,7 @@ const MAX_TRIES: usize = 32;
 /// Levels are judged against the finest one that has at most so many positions.
 const MAX_JUDGED: usize = 1 << 15;
 /// How much more the mean distance counts than the largest one.
-const MEAN_WEIGHT: f64 = 1.5;
+const MEAN_WEIGHT: f64 = 1.2;
 
 /// Weights of the tries in turn: of witnesses, and the exponent of the number of triangles.
 #[rustfmt::skip]

@@ -85,7 +85,10 @@ impl<'a> Buffers<'a> {
             return Err(refused(Refusal::Unsupported, place, what, remedy));
         }
         match candidates.iter().find_map(|name| self.find(name)) {
-            Some(path) => Source::open(&path).map(|source| Bytes::Mapped(path, source)),
+            Some(path) => {
+                self.input.has_companion(&path);
+                Source::open(&path).map(|source| Bytes::Mapped(path, source))
+            }
             None => {
                 let what = format!("refers to the file \"{shown}\", which is not there");
                 Err(refused(Refusal::Damaged, place, what, "copy it beside the model, or export a GLB"))
