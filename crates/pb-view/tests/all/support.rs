@@ -224,7 +224,9 @@ pub fn scan(test: &str, input: &str) -> Option<PathBuf> {
         }
     }
     let archive = folder("archives").join(format!("{test}.pb"));
-    let bake = Command::new(program).arg(&fixture).arg(&archive).args(["--force", "--quiet"]).output();
+    // Several clusters: alone, one of the usual size would be a small scan.
+    let options = ["--force", "--quiet", "--cluster-triangles", "16384"];
+    let bake = Command::new(program).arg(&fixture).arg(&archive).args(options).output();
     let bake = bake.expect("the program starts");
     assert!(bake.status.success(), "{}", String::from_utf8_lossy(&bake.stderr));
     Some(archive)
