@@ -34,7 +34,7 @@ const RELUCTANT: f32 = 4.0;
 impl Weights {
     fn of_try(i: usize) -> Self {
         let (witness, sixteenths) = GRID[i];
-        Weights { witness, sixteenths, vanish: if i % 2 == 0 { 1.0 } else { RELUCTANT * witness } }
+        Weights { witness, sixteenths, vanish: if i.is_multiple_of(2) { 1.0 } else { RELUCTANT * witness } }
     }
 }
 
