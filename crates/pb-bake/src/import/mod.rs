@@ -139,7 +139,6 @@ pub fn load(
         let wants_uvs = options.texture.is_some();
         let keeps_instances = options.instancing == Instancing::Keep;
         let companions = Mutex::default();
-        let companions = &companions;
         let input =
             Input { name: &name, path: Some(path), bytes, base, max_triangles, wants_uvs, keeps_instances, companions };
         let (model, warnings) = read(format, &input, options.texture.as_deref())?;
@@ -185,7 +184,7 @@ pub fn load_bytes(format: Format, bytes: &[u8], base: Option<&Path>) -> Result<(
         max_triangles,
         wants_uvs: false,
         keeps_instances: true,
-        companions: &Mutex::default(),
+        companions: Mutex::default(),
     };
     let (mut model, warnings) = read(format, &input, None)?;
     model.finish();
@@ -207,7 +206,7 @@ struct Input<'a> {
     /// Meshes that stand in several places become objects.
     keeps_instances: bool,
     /// Files that it refers to and that were read so far.
-    companions: &'a Mutex<Vec<PathBuf>>,
+    companions: Mutex<Vec<PathBuf>>,
 }
 
 impl Input<'_> {

@@ -96,10 +96,15 @@ fn after_stage(place: &Place, args: &[&str], stage: &str) -> Child {
 fn killed() -> Place {
     let place = Place::new();
     place.write("large.obj", wave(300).as_bytes());
-    let mut child = after_stage(&place, &["large.obj", "large.pb"], "simplify");
+    cut_short(&place);
+    place
+}
+
+/// Kills a bake of `large.obj` when it has simplified it.
+fn cut_short(place: &Place) {
+    let mut child = after_stage(place, &["large.obj", "large.pb"], "simplify");
     child.kill().unwrap();
     child.wait().unwrap();
-    place
 }
 
 #[test]
@@ -142,18 +147,13 @@ fn what_was_kept_is_not_used_when_a_file_that_the_input_refers_to_has_changed() 
     let place = Place::new();
     place.write("colours.mtl", b"newmtl m\nKd 1 0 0\n");
     place.write("large.obj", format!("mtllib colours.mtl\nusemtl m\n{}", wave(300)).as_bytes());
-    let cut_short = || {
-        let mut child = after_stage(&place, &["large.obj", "large.pb"], "simplify");
-        child.kill().unwrap();
-        child.wait().unwrap();
-    };
-    cut_short();
+    cut_short(&place);
     let run = place.run(&["large.obj", "large.pb", "--resume", "--json"]).succeeds();
     assert!(!run.json()["resumed"].as_array().unwrap().is_empty());
     let before = place.read("large.pb");
     std::fs::remove_file(place.path("large.pb")).unwrap();
 
-    cut_short();
+    cut_short(&place);
     place.write("colours.mtl", b"newmtl m\nKd 0 0.5 1\n");
     let run = place.run(&["large.obj", "large.pb", "--resume"]).succeeds();
     assert!(run.stderr.contains("a file that the input refers to has changed"), "{}", run.stderr);

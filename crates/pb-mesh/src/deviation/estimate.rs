@@ -85,22 +85,27 @@ mod tests {
         (positions, squares.flat_map(halves).collect(), all().map(|(x, y)| at(x / 4 * 4, y / 4 * 4)).collect())
     }
 
+    /// The estimate of a level that positions collapsed into as `ancestors` say.
+    fn estimate_of(positions: &[[i32; 3]], triangles: &[[u32; 3]], coarse: &[[u32; 3]], ancestors: &[u32]) -> Estimate {
+        estimate(&LevelPair {
+            positions,
+            triangles,
+            fine: &Fans::new(positions.len(), triangles),
+            cluster_of: &[],
+            coarse,
+            fans: &Fans::new(positions.len(), coarse),
+            coarse_cluster_of: &[],
+            ancestors,
+            open: &vec![false; positions.len()],
+        })
+    }
+
     #[test]
     fn it_is_near_what_a_look_at_all_triangles_tells() {
         let (positions, triangles, ancestors) = sheet(40);
         let shrunk = triangles.iter().map(|t| t.map(|v| ancestors[v as usize]));
         let coarse: Vec<[u32; 3]> = shrunk.filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]).collect();
-        let found = estimate(&LevelPair {
-            positions: &positions,
-            triangles: &triangles,
-            fine: &Fans::new(positions.len(), &triangles),
-            cluster_of: &[],
-            coarse: &coarse,
-            fans: &Fans::new(positions.len(), &coarse),
-            coarse_cluster_of: &[],
-            ancestors: &ancestors,
-            open: &vec![false; positions.len()],
-        });
+        let found = estimate_of(&positions, &triangles, &coarse, &ancestors);
         let at = |v: u32| Vec3::from_array(positions[v as usize].map(|x| x as f32));
         let distance = |p: Vec3, to: &[[u32; 3]]| {
             to.iter().map(|t| closest_on_triangle(p, t.map(at)).distance(p)).fold(f32::INFINITY, f32::min)
@@ -127,36 +132,15 @@ mod tests {
         triangles.push([first, first + 1, first + 2]);
         let mut ancestors: Vec<u32> = (0..first + 3).collect();
         ancestors[first as usize..].fill(first);
-        let found = estimate(&LevelPair {
-            positions: &positions,
-            triangles: &triangles,
-            fine: &Fans::new(positions.len(), &triangles),
-            cluster_of: &[],
-            coarse: &sheet,
-            fans: &Fans::new(positions.len(), &sheet),
-            coarse_cluster_of: &[],
-            ancestors: &ancestors,
-            open: &vec![false; positions.len()],
-        });
+        let found = estimate_of(&positions, &triangles, &sheet, &ancestors);
         assert!((3000.0..9000.0).contains(&found.max), "{}", found.max);
     }
 
     #[test]
     fn a_level_that_is_the_surface_is_not_away_from_it() {
         let (positions, triangles, _) = sheet(12);
-        let (fans, open) = (Fans::new(positions.len(), &triangles), vec![false; positions.len()]);
         let ancestors: Vec<u32> = (0..positions.len() as u32).collect();
-        let found = estimate(&LevelPair {
-            positions: &positions,
-            triangles: &triangles,
-            fine: &fans,
-            cluster_of: &[],
-            coarse: &triangles,
-            fans: &fans,
-            coarse_cluster_of: &[],
-            ancestors: &ancestors,
-            open: &open,
-        });
+        let found = estimate_of(&positions, &triangles, &triangles, &ancestors);
         assert_eq!(found.mean_square, 0.0);
         assert!(found.max < 0.01, "{}", found.max);
     }
