@@ -3,9 +3,10 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use pb_bake::images::DecodeOptions;
 use pb_bake::import::{ImportOptions, Instancing};
-use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_TILE_SIZE};
+use pb_lod::progressive_buffers::bake::{BakeOptions, DEFAULT_TILE_SIZE, TexelOptions};
 use pb_mesh::normals::{NormalOptions, NormalWeight};
 use pb_mesh::repair::RepairOptions;
+use pb_mesh::texture::{NormalSpace, Quality};
 use std::path::{Path, PathBuf};
 
 const ABOUT: &str = "Turns triangle meshes into an archive that pb-view streams and draws at any distance";
@@ -179,6 +180,19 @@ pub enum TexelFormat {
 }
 
 impl BakeArgs {
+    /// For [`TextureInput`](pb_lod::progressive_buffers::bake::TextureInput).
+    pub fn texel_options(&self) -> TexelOptions {
+        TexelOptions {
+            quality: match self.texture_quality {
+                TextureQuality::Fast => Quality::Fast,
+                TextureQuality::Normal => Quality::Normal,
+                TextureQuality::Best => Quality::Best,
+            },
+            compress: self.texture_format == TexelFormat::Bc,
+            normal_space: if self.normal_map { NormalSpace::Object } else { NormalSpace::Tangent },
+        }
+    }
+
     /// For [`pb_mesh::repair::repair`].
     pub fn repair_options(&self) -> RepairOptions {
         let weight = match self.normals {

@@ -65,7 +65,11 @@ fn run_bake(args: &BakeArgs) -> Result<(), Failure> {
     interrupt::install()?;
     let (bound, keeps) = room::bound_memory(args)?;
     let bytes = |input: &std::path::PathBuf| std::fs::metadata(input).map_or(0, |m| m.len());
-    let work = Work { input_bytes: args.inputs.iter().map(bytes).sum(), ..Work::default() };
+    let work = Work {
+        input_bytes: args.inputs.iter().map(bytes).sum(),
+        texel_options: args.texel_options(),
+        ..Work::default()
+    };
     let progress = Progress::new(Mode::of(args.quiet, args.progress_json), work);
     let mut job = Job::open(args, keeps, &progress)?;
     match bake_into(writer, args, &mut job, &progress) {
@@ -99,9 +103,6 @@ fn bake_into(
 ) -> Result<BakeSummary, Failure> {
     let mut scene = scene::load(args, job, progress)?;
     let show = |stage, share| {
-        if let Stage::Textures { texels } = stage {
-            progress.work(|work| work.tile_texels = Some(texels));
-        }
         progress.stage(stage_name(stage));
         progress.share(share);
         if stage == Stage::Simplify && share == 0.0 {
@@ -148,6 +149,6 @@ fn stage_name(stage: Stage) -> &'static str {
         Stage::Simplify => "simplify",
         Stage::Measure => "measure",
         Stage::Pack => "pack",
-        Stage::Textures { .. } => "texels",
+        Stage::Textures => "texels",
     }
 }

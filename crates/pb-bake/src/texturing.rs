@@ -1,17 +1,16 @@
 //! How the images of a scene go into the archive: charts, also those of the xatlas helper, and texels.
 
-use crate::cli::{BakeArgs, ChartsFrom, TexelFormat, TextureQuality};
+use crate::cli::{BakeArgs, ChartsFrom};
 use crate::job::Job;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use pb_bake::xatlas::{Helper, HelperCharts, HelperSummary, Pool};
 use pb_lod::progressive_buffers::bake::{
-    BakeError, BakeReport, ChartMode, ChartOptions, Outside, Stage, TexelOptions, TextureInput, bake_textured,
+    BakeError, BakeReport, ChartMode, ChartOptions, Outside, Stage, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::write::BakedModel;
 use pb_mesh::charts::ClusterSurface;
 use pb_mesh::texture::image::Image;
-use pb_mesh::texture::{NormalSpace, Quality};
 use std::time::Duration;
 
 /// Bakes a scene with its textures. The mesh is taken out of it.
@@ -42,17 +41,10 @@ pub fn bake_scene(
             tile_size: args.tile_size,
             charter: helper.is_some().then_some(&charter),
         },
-        texels: TexelOptions {
-            quality: match args.texture_quality {
-                TextureQuality::Fast => Quality::Fast,
-                TextureQuality::Normal => Quality::Normal,
-                TextureQuality::Best => Quality::Best,
-            },
-            compress: args.texture_format == TexelFormat::Bc,
-            normal_space: if args.normal_map { NormalSpace::Object } else { NormalSpace::Tangent },
-        },
+        texels: args.texel_options(),
     };
-    let outside = Outside { progress: show, spill: &spill, checkpoints: job };
+    let texel_work = |texels| progress.work(|work| work.texels = Some(texels));
+    let outside = Outside { progress: show, texel_work: &texel_work, spill: &spill, checkpoints: job };
     let triangles_in = scene.repairs.triangles_in;
     let baked = bake_textured(mesh, Some(&textures), triangles_in, &args.bake_options(), &outside);
     let (model, report) = baked?;

@@ -6,7 +6,7 @@ use common::Random;
 use glam::DVec3;
 use pb_archive::{MemoryStorage, Writer};
 use pb_lod::progressive_buffers::bake::{
-    BakeOptions, BakeReport, ChartMode, ChartOptions, Outside, TexelOptions, TextureInput, bake_textured,
+    BakeOptions, BakeReport, ChartMode, ChartOptions, Outside, Stage, TexelOptions, TextureInput, bake_textured,
 };
 use pb_lod::progressive_buffers::layout::{SCHEME, Vertex};
 use pb_lod::progressive_buffers::model::Model;
@@ -20,7 +20,7 @@ use pb_mesh::texture::Texels;
 use pb_mesh::texture::image::{Image, TexelFormat};
 use pb_mesh::texture::{BlockFormat, NormalSpace, decode};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 const LEVELS: u32 = 5;
 
@@ -71,6 +71,17 @@ fn image(size: u32, color: impl Fn(f32, f32) -> [u8; 3]) -> Image {
 }
 
 fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) -> (Model, BakeReport) {
+    baked_before(soup, image, mode, cluster_triangles, &Outside::nothing())
+}
+
+/// The same while `outside` looks on.
+fn baked_before(
+    soup: Soup,
+    image: Image,
+    mode: ChartMode,
+    cluster_triangles: usize,
+    outside: &Outside,
+) -> (Model, BakeReport) {
     let count = soup.triangles.len() as u64;
     let (mesh, _) = repair(soup, &RepairOptions::default()).expect("a sound mesh");
     let mut material = Material::default();
@@ -82,8 +93,7 @@ fn baked(soup: Soup, image: Image, mode: ChartMode, cluster_triangles: usize) ->
         texels: TexelOptions::default(),
     };
     let options = BakeOptions { levels: LEVELS, cluster_triangles: Some(cluster_triangles), ..BakeOptions::default() };
-    let (model, report) =
-        bake_textured(mesh, Some(&textures), count, &options, &Outside::nothing()).expect("options in range");
+    let (model, report) = bake_textured(mesh, Some(&textures), count, &options, outside).expect("options in range");
     (opened(&model), report)
 }
 
@@ -110,6 +120,36 @@ fn baked_with_normals(mut soup: Soup, paint: Option<[u8; 4]>) -> Model {
     let options = BakeOptions { levels: LEVELS, cluster_triangles: Some(4096), ..BakeOptions::default() };
     let baked = bake_textured(mesh, Some(&textures), count as u64, &options, &Outside::nothing());
     opened(&baked.expect("options in range").0)
+}
+
+#[test]
+fn progress_goes_through_all_stages_and_texels_are_known_after_the_charts() {
+    let told = Mutex::new((Vec::new(), None));
+    let progress = |stage, share| told.lock().unwrap().0.push((stage, share));
+    let texel_work = |work| {
+        let mut told = told.lock().unwrap();
+        let last = told.0.last().copied();
+        assert!(told.1.replace((work, last)).is_none(), "told once");
+    };
+    let outside = Outside { progress: &progress, texel_work: &texel_work, ..Outside::nothing() };
+    let soup = islands(hills(64), 3, 0.1);
+    let image = image(256, |u, _| [(u * 255.0) as u8; 3]);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let (_, report) = one.install(|| baked_before(soup, image, ChartMode::Source, 1024, &outside));
+    let (told, work) = told.into_inner().unwrap();
+    let (work, last) = work.expect("told");
+    assert_eq!(last, Some((Stage::Charts, 1.0)));
+    let charts = report.charts.expect("textured");
+    assert_eq!(work.tile_texels, charts.texels);
+    let covered = charts.fill * charts.texels as f64;
+    assert!((covered..covered * 1.5).contains(&(work.packed_texels as f64)), "{covered} {work:?}");
+    assert!(told.is_sorted_by(|a, b| a.0 < b.0 || a.0 == b.0 && a.1 <= b.1), "{told:?}");
+    for stage in [Stage::Charts, Stage::Measure, Stage::Textures] {
+        let own = || told.iter().filter(|t| t.0 == stage);
+        assert_eq!(own().next_back(), Some(&(stage, 1.0)));
+        let step = own().zip(own().skip(1)).map(|(a, b)| b.1 - a.1).fold(0.0, f32::max);
+        assert!(step < 0.3, "{stage:?} jumps by {step}");
+    }
 }
 
 /// A cluster with the decoded mips of its first map.

@@ -119,7 +119,8 @@ pub fn measure(pair: &LevelPair, clusters: usize, progress: &(dyn Fn(f32) + Sync
     let mut max: Vec<f32> =
         (0..clusters).into_par_iter().map(|c| field.cluster_bound(&shares[c], &others[c], &nearest)).collect();
     let all = |c: u32| own(c as usize).iter().chain(&others[c as usize]);
-    let back = field.sampled_back(&max, &nearest, &all);
+    let way_back = |done| progress(BACK_SHARE + done * (1.0 - BACK_SHARE));
+    let back = field.sampled_back(&max, &nearest, &all, &way_back);
     back.into_iter().zip(pair.coarse_cluster_of).for_each(|(d, &c)| max[c as usize] = max[c as usize].max(d));
     progress(1.0);
     let squares = shares.iter().fold((0.0, 0.0), |sum, s| (sum.0 + s.squares.0, sum.1 + s.squares.1));

@@ -2,6 +2,9 @@
 //!
 //! No clock here: times are given, in seconds since the start.
 
+use pb_lod::progressive_buffers::bake::{TexelOptions, TexelWork};
+use pb_mesh::texture::Quality;
+
 /// All stages, in their order.
 const STAGES: [&str; 10] =
     ["read", "textures", "repair", "segment", "charts", "simplify", "measure", "pack", "texels", "write"];
@@ -15,8 +18,10 @@ pub struct Work {
     pub triangles: Option<u64>,
     /// Of all images; `None` without.
     pub image_texels: Option<u64>,
-    /// Of all tiles at level 0.
-    pub tile_texels: Option<u64>,
+    /// How they are made.
+    pub texel_options: TexelOptions,
+    /// Known when the charts are made.
+    pub texels: Option<TexelWork>,
 }
 
 /// Seconds.
@@ -83,7 +88,7 @@ impl Forecast {
         let done = |count: u64| count as f64 * now.share / (now.told - now.start);
         match now.stage {
             "textures" => Some((done(self.work.image_texels?), "texels")),
-            "texels" => Some((done(self.work.tile_texels?), "texels")),
+            "texels" => Some((done(self.work.texels?.tile_texels), "texels")),
             _ => Some((done(self.work.triangles?), "triangles")),
         }
     }
@@ -114,27 +119,39 @@ impl Forecast {
         let bytes = self.work.input_bytes as f64 * 1e-6;
         let triangles = self.work.triangles.map_or(bytes / 30.0, |t| t as f64 * 1e-6);
         let image_texels = self.work.image_texels.unwrap_or(0) as f64 * 1e-6;
-        let textured = self.work.image_texels.is_some() || self.work.tile_texels.is_some();
-        let tile_texels = self.work.tile_texels.map_or(image_texels, |t| t as f64 * 1e-6);
+        let textured = self.work.image_texels.is_some() || self.work.texels.is_some();
+        // Of what is shown, tiles have about as many as images.
+        let texels = |of: fn(TexelWork) -> u64| self.work.texels.map_or(image_texels, |t| of(t) as f64 * 1e-6);
         match stage {
             "read" => bytes * 0.003,
             "textures" => image_texels * 0.01,
             "repair" => triangles * 0.11,
             "segment" => triangles * 0.15,
-            "charts" if textured => triangles * 2.5,
-            "simplify" => triangles * if textured { 2.2 } else { 0.6 },
-            "measure" => triangles * if textured { 1.75 } else { 0.28 },
-            "pack" => triangles * 0.165,
-            "texels" if textured => tile_texels * 0.22,
-            "write" => triangles * 0.04 + tile_texels * 0.002,
+            "charts" if textured => triangles * 0.45,
+            "simplify" => triangles * if textured { 1.2 } else { 0.6 },
+            "measure" => triangles * if textured { 1.45 } else { 0.25 },
+            "pack" => triangles * 0.15,
+            "texels" if textured => texels(|t| t.packed_texels) * self.seconds_per_million_texels(),
+            "write" => triangles * 0.03 + texels(|t| t.tile_texels) * 0.001,
             _ => 0.0,
         }
     }
 
-    /// The same for stages that tell how fast the machine is.
+    /// Of packing them, all else included.
+    fn seconds_per_million_texels(&self) -> f64 {
+        let TexelOptions { quality, compress, .. } = self.work.texel_options;
+        match quality {
+            _ if !compress => 0.115,
+            Quality::Fast => 0.18,
+            Quality::Normal => 0.29,
+            Quality::Best => 1.55,
+        }
+    }
+
+    /// The same for stages that tell how fast the machine is; charts take several times as long where the source has no good ones.
     fn paced(&self, stage: &str) -> Option<f64> {
         let usual = self.usual(stage);
-        (!matches!(stage, "read" | "textures" | "write") && usual > 0.0).then_some(usual)
+        (!matches!(stage, "read" | "textures" | "charts" | "write") && usual > 0.0).then_some(usual)
     }
 }
 
@@ -175,13 +192,15 @@ mod tests {
         worst
     }
 
-    const PLAIN: Work =
-        Work { input_bytes: 100 << 20, triangles: Some(4_000_000), image_texels: None, tile_texels: None };
+    fn plain() -> Work {
+        Work { input_bytes: 100 << 20, triangles: Some(4_000_000), ..Work::default() }
+    }
 
     #[test]
     fn what_is_left_is_right_on_a_machine_of_any_speed() {
-        let textured = Work { image_texels: Some(60_000_000), tile_texels: Some(90_000_000), ..PLAIN };
-        for work in [PLAIN, textured] {
+        let texels = TexelWork { tile_texels: 200_000_000, packed_texels: 90_000_000 };
+        let textured = Work { image_texels: Some(60_000_000), texels: Some(texels), ..plain() };
+        for work in [plain(), textured] {
             for speed in [0.1, 1.0, 7.0] {
                 assert!(worst(work, |_| speed, true) < 0.15, "{}", worst(work, |_| speed, true));
             }
@@ -191,15 +210,15 @@ mod tests {
     #[test]
     fn stages_that_take_longer_than_usual_are_noticed() {
         for slow in STAGES {
-            let error = worst(PLAIN, |s| if s == slow { 1.5 } else { 1.0 }, true);
+            let error = worst(plain(), |s| if s == slow { 1.5 } else { 1.0 }, true);
             assert!(error < 0.3, "{slow}: {error}");
         }
-        assert!(worst(PLAIN, |_| 3.0, false) < 0.1, "also without shares");
+        assert!(worst(plain(), |_| 3.0, false) < 0.1, "also without shares");
     }
 
     #[test]
     fn stages_that_were_found_do_not_count() {
-        let mut forecast = Forecast::new(PLAIN, 2);
+        let mut forecast = Forecast::new(plain(), 2);
         for (stage, at) in [("read", 0.0), ("segment", 0.1), ("simplify", 4.1), ("measure", 4.12)] {
             forecast.begin(stage, at);
         }

@@ -5,6 +5,7 @@ use crate::closest::{closest_feature, closest_on_triangle};
 use crate::topology::group;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Steps over the input from a corner of a coarse triangle to a point of it.
 const MAX_WALK_BACK: usize = 128;
@@ -17,6 +18,9 @@ const SAMPLES: f32 = 65_536.0;
 const TYPICAL_STEPS: u32 = 6;
 /// Samples along the edge of a coarse triangle at most.
 const MAX_STEPS: u32 = 12;
+
+/// Progress is told once per so many triangles.
+const TOLD: usize = 256;
 
 /// How many corners of the nearest triangle a walk looks around at each step.
 #[derive(Clone, Copy, PartialEq)]
@@ -64,12 +68,13 @@ impl Field<'_> {
     /// Distances of points of the coarse triangles from the input, walked to over the input from the nearest corner:
     /// where the map is torn, by a fold, coarse parts may lie outside of it. One answer per coarse triangle, only as
     /// exact as it has to be: one that is not above the cluster's bound in `floors` may be any such number, 0 at least.
-    /// `covered` gives the input triangles that a cluster's bound covers.
+    /// `covered` gives the input triangles that a cluster's bound covers, `progress` gets the share that is done.
     pub(super) fn sampled_back<'a, I: Iterator<Item = &'a u32>>(
         &self,
         floors: &[f32],
         nearest: &[(f32, u32)],
         covered: &(impl Fn(u32) -> I + Sync),
+        progress: &(dyn Fn(f32) + Sync),
     ) -> Vec<f32> {
         // A coarse triangle of the first levels is hardly larger than the input's around it; some are larger than others.
         let few = self.pair.coarse.len() < FEW_TRIANGLES;
@@ -80,7 +85,12 @@ impl Field<'_> {
         let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
         let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
         let below = few.then(|| Below::new(nearest, self.pair.coarse.len()));
+        let begun = AtomicUsize::new(0);
         let samples = |(i, ((tri, &cluster), &length)): (usize, ((&[u32; 3], &u32), &f32))| {
+            if i % TOLD == 0 {
+                let before = begun.fetch_add(TOLD, Ordering::Relaxed);
+                progress(before as f32 / self.pair.coarse.len() as f32);
+            }
             let floor = floors[cluster as usize];
             // The corners are points of the input, and no point of the triangle is further from them than this.
             if length * FARTHEST_FROM_CORNERS * GOOD_ENOUGH <= floor && self.on_input(tri) {

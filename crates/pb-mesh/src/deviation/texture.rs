@@ -11,6 +11,7 @@ use crate::segment::Segmentation;
 use crate::simplify::{Collapses, UvInput};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Cells along a side of a chart's grid at most.
 const MAX_CELLS: usize = 256;
@@ -30,18 +31,23 @@ pub struct TextureDeviation {
     pub squares: (f64, u64),
 }
 
-/// Measures every level of a textured mesh, the finest first. `triangles` are the input's, in positions.
+/// Measures every level of a textured mesh, the finest first. `triangles` are the input's, in positions; `progress` gets the
+/// share that is done.
 pub fn texture_deviation(
     positions: &[[i32; 3]],
     triangles: &[[u32; 3]],
     segmentation: &Segmentation,
     uv: &UvInput,
     collapses: &Collapses,
+    progress: &(dyn Fn(f32) + Sync),
 ) -> Vec<TextureDeviation> {
     let levels = collapses.counts.len();
+    let done = AtomicUsize::new(0);
     let measure = |c: usize| {
         let charts = ClusterCharts::new(positions, triangles, segmentation.cluster(c), uv, uv.unit(c));
-        (0..levels as u8).map(|level| charts.slides(collapses, level)).collect()
+        let slides = (0..levels as u8).map(|level| charts.slides(collapses, level)).collect();
+        progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / segmentation.len() as f32);
+        slides
     };
     let clusters: Vec<Vec<Slides>> = (0..segmentation.len()).into_par_iter().map(measure).collect();
     let of_level = |level: usize| {

@@ -7,7 +7,7 @@ use pb_mesh::segment::Segmentation;
 use pb_mesh::simplify::{Collapses, UvInput};
 
 fn deviations(mesh: &Charted, collapses: &Collapses) -> Vec<TextureDeviation> {
-    texture_deviation(&mesh.positions, &mesh.triangles, &mesh.segmentation, &mesh.texture(), collapses)
+    texture_deviation(&mesh.positions, &mesh.triangles, &mesh.segmentation, &mesh.texture(), collapses, &|_| ())
 }
 
 /// Where a triangle of wedges has texture coordinates `p`, if it has.
@@ -81,7 +81,7 @@ fn a_seam_that_moves_counts_on_both_of_its_sides() {
         wedge_parent: vec![1, 1, 2, 3, 5, 5, 6, 7],
         wedge_last_level: vec![0, 1, 1, 1, 0, 1, 1, 1],
     };
-    let found = texture_deviation(&positions, &triangles, &segmentation, &texture, &collapses);
+    let found = texture_deviation(&positions, &triangles, &segmentation, &texture, &collapses, &|_| ());
     // The lost texture is where its nearest point is: 10 away in the tile, and 10 in space.
     assert_eq!(found[1].max.iter().map(|d| d.round()).collect::<Vec<_>>(), [10.0, 20.0]);
 }

@@ -30,7 +30,8 @@ fn print(what: &str, recipe: Recipe, careful: bool) {
     let collapses = if careful { mesh.simplify(5, 4.0) } else { mesh.simplify_carelessly(5, 4.0) };
     let simplified = start.elapsed();
     let start = std::time::Instant::now();
-    let slides = texture_deviation(&mesh.positions, &mesh.triangles, &mesh.segmentation, &mesh.texture(), &collapses);
+    let slides =
+        texture_deviation(&mesh.positions, &mesh.triangles, &mesh.segmentation, &mesh.texture(), &collapses, &|_| ());
     let measured = start.elapsed();
     println!("{what}: {} triangles; simplified in {simplified:.0?}, measured in {measured:.0?}", mesh.triangles.len());
     for (level, slide) in slides.iter().enumerate().skip(1) {

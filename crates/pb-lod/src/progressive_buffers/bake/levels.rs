@@ -1,6 +1,6 @@
 //! The errors of every level: distances to the input, per cluster and for the whole model.
 
-use super::{Clusters, Outside, Stage};
+use super::{Clusters, Outside};
 use pb_mesh::deviation::{LevelPair, TextureDeviation, measure};
 use pb_mesh::simplify::Collapses;
 use pb_mesh::topology::{Fans, Kind};
@@ -77,7 +77,7 @@ impl Ancestors {
     }
 }
 
-/// Measures all levels; bounds never fall from a level to the next coarser one.
+/// Measures all levels; bounds never fall from a level to the next coarser one. `progress` gets the share that is done.
 ///
 /// Levels 1 and 2 are measured against the input. Level i above is measured against level i - 2, which is several
 /// times smaller, and by the triangle inequality the bound of that level is added: a few percent of its own.
@@ -87,6 +87,7 @@ pub(super) fn measure_levels(
     collapses: &Collapses,
     levels: usize,
     outside: &Outside,
+    progress: &(dyn Fn(f32) + Sync),
 ) -> Vec<LevelErrors> {
     let (grid, count) = (&clusters.grid, clusters.segmentation.len());
     let components = &clusters.segmentation.components;
@@ -121,8 +122,7 @@ pub(super) fn measure_levels(
                 ancestors: &ancestors.inside_component,
                 open: &open,
             };
-            let progress = |share| (outside.progress)(Stage::Measure, work.share(level.into(), share));
-            let deviation = measure(&pair, count, &progress);
+            let deviation = measure(&pair, count, &|share| progress(work.share(level.into(), share)));
             let (finer, base) = (list.last().expect("level 0 is there"), &list[base]);
             let bound = |c: usize| {
                 let distance = f64::from(deviation.max[c]) * grid.quantum * (1.0 + 1e-5) + f64::from(base.max[c]);
@@ -137,7 +137,7 @@ pub(super) fn measure_levels(
         };
         let next = outside.kept("errors", level.into(), errors);
         list.push(next);
-        (outside.progress)(Stage::Measure, work.share(level.into(), 1.0));
+        progress(work.share(level.into(), 1.0));
     }
     list
 }

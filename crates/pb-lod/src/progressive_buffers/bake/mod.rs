@@ -19,7 +19,7 @@ mod surface;
 mod tiles;
 
 pub use charting::{ChartMode, ChartOptions, ChartSummary, Charter, DEFAULT_TILE_SIZE};
-pub use tiles::TexelOptions;
+pub use tiles::{TexelOptions, TexelWork};
 
 use super::layout::MAX_LEVELS;
 use super::textures::MAX_SIZE_LOG2;
@@ -60,6 +60,9 @@ pub const TEXTURED_CLUSTER_TRIANGLES: usize = 16_384;
 /// Most triangles of a cluster with textures: in the worst case each has three vertices of its own, and indices are u16.
 const MAX_TEXTURED_TRIANGLES: usize = 21_845;
 
+/// Share of the time of measuring that goes into textures, where there are any.
+const SLIDES_SHARE: f32 = 0.25;
+
 /// What the user may choose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BakeOptions {
@@ -96,6 +99,8 @@ pub struct Outside<'a> {
     /// Called from any thread with a stage and the share of it that is done. A share of 0 comes once, where the stage begins:
     /// no other thread of the bake is at work then.
     pub progress: &'a (dyn Fn(Stage, f32) + Sync),
+    /// Called once, when the charts of a textured mesh are made, with what its texels will be.
+    pub texel_work: &'a (dyn Fn(TexelWork) + Sync),
     /// Where finished chunks wait until they are written.
     pub spill: &'a Spill,
     /// Where results of steps are kept, and were kept by a bake of the same input with the same options that was cut short.
@@ -106,7 +111,7 @@ impl Outside<'static> {
     /// Nothing is shown or kept, and chunks wait in memory.
     pub fn nothing() -> Self {
         static IN_MEMORY: Spill = Spill::in_memory();
-        Outside { progress: &|_, _| (), spill: &IN_MEMORY, checkpoints: &NoCheckpoints }
+        Outside { progress: &|_, _| (), texel_work: &|_| (), spill: &IN_MEMORY, checkpoints: &NoCheckpoints }
     }
 }
 
@@ -144,10 +149,7 @@ pub enum Stage {
     /// Vertex order, index buffers, packing.
     Pack,
     /// Texels resampled and packed; only with textures.
-    Textures {
-        /// Of all tiles at level 0.
-        texels: u64,
-    },
+    Textures,
 }
 
 /// Counts that the archive does not hold.
@@ -234,7 +236,9 @@ pub fn bake_textured(
             normals: t.texels.normal_space == NormalSpace::Object,
             scale: sizing.map_or(1.0, |s| s.scale),
         };
-        make_tiles(&input, &t.charts, outside)
+        let tiles = make_tiles(&input, &t.charts, outside);
+        (outside.texel_work)(TexelWork::new(t, surface.has_colors, &tiles));
+        tiles
     });
     progress(Stage::Simplify, 0.0);
     let normals = normals(&surface.wedges, clusters.grid.points.len());
@@ -243,10 +247,13 @@ pub fn bake_textured(
         outside.kept("collapses", 0, || simplify(&unison, levels, options.ratio, &|x| progress(Stage::Simplify, x)));
     drop(normals);
     progress(Stage::Measure, 0.0);
-    let mut errors = measure_levels(&surface.triangles, &clusters, &collapses, levels, outside);
+    let distances = if tiles.is_some() { 1.0 - SLIDES_SHARE } else { 1.0 };
+    let share = |x| progress(Stage::Measure, x * distances);
+    let mut errors = measure_levels(&surface.triangles, &clusters, &collapses, levels, outside, &share);
     if let Some(tiles) = &tiles {
         let (points, segmentation) = (&clusters.grid.points, &clusters.segmentation);
-        let slides = texture_deviation(points, &surface.triangles, segmentation, &tiles.uv_input(), &collapses);
+        let share = |x| progress(Stage::Measure, 1.0 - SLIDES_SHARE + x * SLIDES_SHARE);
+        let slides = texture_deviation(points, &surface.triangles, segmentation, &tiles.uv_input(), &collapses, &share);
         add_slides(&mut errors, &slides, clusters.grid.quantum);
     }
     progress(Stage::Pack, 0.0);
@@ -261,7 +268,7 @@ pub fn bake_textured(
     };
     let (mut model, order, acmr) = assemble(&finished, outside)?;
     if let (Some(input), Some(tiles)) = (textures, &tiles) {
-        progress(Stage::Textures { texels: tiles.texels() }, 0.0);
+        progress(Stage::Textures, 0.0);
         fill_tiles(&finished, input, tiles, &order, &mut model, outside)?;
     }
     let locked = clusters.kinds.iter().filter(|k| **k == Kind::Locked).count() as u64;

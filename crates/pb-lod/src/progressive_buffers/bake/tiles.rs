@@ -1,7 +1,7 @@
 //! The texels of every tile: resampled from the source's images, filled, packed, and cut into chunks.
 
 use super::assemble::Finished;
-use super::charting::Tiles;
+use super::charting::{ClusterTile, Tiles};
 use super::lanes::run_bounded;
 use super::surface::Surface;
 use super::{Clusters, Outside, Stage, TextureInput};
@@ -42,6 +42,9 @@ impl Default for TexelOptions {
 /// HDR models of no more texels than this keep halves: what is magnified shows the steps of blocks, and 8 bytes for each
 /// of them are soon read.
 const FEW_TEXELS: u64 = 1 << 18;
+
+/// A texel that shows nowhere takes this much of the time of others: it is filled, but not packed.
+const BARE_TEXEL: f64 = 0.04;
 
 /// One map of the model, and how it is made.
 struct Map {
@@ -90,6 +93,28 @@ fn maps(input: &TextureInput, has_colors: bool, tile_texels: u64) -> Vec<Map> {
     .collect()
 }
 
+/// How much there is to do for the texels of a model, for progress displays.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TexelWork {
+    /// Texels of all tiles at level 0.
+    pub tile_texels: u64,
+    /// What takes the time: texels of all maps under charts, and a small share of the others.
+    pub packed_texels: u64,
+}
+
+impl TexelWork {
+    pub(super) fn new(input: &TextureInput, has_colors: bool, tiles: &Tiles) -> Self {
+        let tile_texels = tiles.texels();
+        let maps = maps(input, has_colors, tile_texels).len() as u64;
+        TexelWork { tile_texels, packed_texels: tiles.tiles.iter().map(|t| packed_texels(t) * maps).sum() }
+    }
+}
+
+/// Of one map, see [`TexelWork`].
+fn packed_texels(tile: &ClusterTile) -> u64 {
+    (f64::from(tile.size).powi(2) * (tile.fill + BARE_TEXEL)) as u64
+}
+
 /// Fills all tiles: maps, tiles and texture chunks of the model, in the given order of the clusters.
 pub(super) fn fill_tiles(
     finished: &Finished,
@@ -113,13 +138,13 @@ pub(super) fn fill_tiles(
         levels: finished.levels as u32,
     };
     let bytes: Vec<u64> = order.iter().map(|&c| baker.work_bytes(tiles.tiles[c as usize].size)).collect();
-    let progress = |x| (outside.progress)(Stage::Textures { texels }, x);
+    let whole = tiles.tiles.iter().map(packed_texels).sum::<u64>().max(1);
     let done = AtomicU64::new(0);
     let tile = |new: usize| {
         let c = order[new] as usize;
         let baked = outside.try_kept("texels", new as u32, || baker.bake(c, outside.spill));
-        let own = u64::from(tiles.tiles[c].size).pow(2);
-        progress((done.fetch_add(own, Ordering::Relaxed) + own) as f32 / texels as f32);
+        let own = packed_texels(&tiles.tiles[c]);
+        (outside.progress)(Stage::Textures, (done.fetch_add(own, Ordering::Relaxed) + own) as f32 / whole as f32);
         baked
     };
     let baked = run_bounded(&bytes, TILE_WORK_BYTES, tile);
