@@ -1,7 +1,7 @@
 //! From the coarse surface back to the input, by samples.
 
-use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, UNREFINED, longest_edge, relative};
-use crate::closest::{closest_feature, closest_on_triangle};
+use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, NONE, UNREFINED, longest_edge, relative};
+use crate::closest::closest_on_triangle;
 use crate::topology::group;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -132,28 +132,35 @@ impl Field<'_> {
     }
 
     /// Walks over the input's vertices from `start` downhill to one nearest to `at`, relative to `origin`, or to one whose
-    /// squared distance is not above `enough`. The answer is the vertex and its squared distance.
-    fn nearest_vertex(&self, origin: u32, start: u32, at: Vec3, enough: f32) -> (u32, f32) {
+    /// squared distance is not above `enough`. The answer is the vertex, its squared distance, and the triangle around it whose
+    /// corners are nearest.
+    fn nearest_vertex(&self, origin: u32, start: u32, at: Vec3, enough: f32) -> (u32, f32, u32) {
         let square = |v: u32| relative(self.pair.positions, origin, v).distance_squared(at);
         let (mut now, mut best) = (start, square(start));
+        let mut below = NONE;
         for _ in 0..MAX_WALK_BACK {
-            let before = now;
+            let (before, mut least) = (now, f32::INFINITY);
             for &t in self.pair.fine.around(before) {
+                let mut sum = 0.0;
                 for v in self.pair.triangles[t as usize].into_iter().filter(|&v| v != before) {
                     let d = square(v);
+                    sum += d;
                     if d < best {
                         (now, best) = (v, d);
                     }
                 }
                 if best <= enough {
-                    return (now, best);
+                    return (now, best, t);
+                }
+                if sum < least {
+                    (below, least) = (t, sum);
                 }
             }
             if now == before {
                 break;
             }
         }
-        (now, best)
+        (now, best, below)
     }
 
     /// Whether all three are used by the input.
@@ -164,9 +171,17 @@ impl Field<'_> {
     /// Walks over the input from position `start` down to `at`, relative to position `origin`; goes no further where the squared
     /// distance is not above `enough`.
     pub(super) fn distance_back(&self, [origin, start]: [u32; 2], at: Vec3, walk: Walk, enough: f32) -> f32 {
-        let (start, square) = self.nearest_vertex(origin, start, at, enough);
+        let (start, square, below) = self.nearest_vertex(origin, start, at, enough);
         if square <= enough && !self.pair.fine.around(start).is_empty() {
             return square.sqrt();
+        }
+        let corners = |t: u32| self.pair.triangles[t as usize].map(|v| relative(self.pair.positions, origin, v));
+        if enough > 0.0 && below != NONE {
+            // Mostly the point is over the inside of this one.
+            let square = closest_on_triangle(at, corners(below)).distance_squared(at);
+            if square <= enough {
+                return square.sqrt();
+            }
         }
         let (mut best, mut nearest) = (f32::INFINITY, [start; 3]);
         for _ in 0..MAX_WALK_BACK {
@@ -176,8 +191,8 @@ impl Field<'_> {
             for &center in centers {
                 for &t in self.pair.fine.around(center) {
                     let fine = self.pair.triangles[t as usize];
-                    let corners = fine.map(|v| relative(self.pair.positions, origin, v));
-                    let square = closest_feature(at, corners).0.distance_squared(at);
+                    let corners = corners(t);
+                    let square = closest_on_triangle(at, corners).distance_squared(at);
                     if square < best {
                         best = square;
                         if best <= enough {
