@@ -10,13 +10,14 @@
 //! Guthe et al. 2005 for the pruning by the largest distance known so far).
 
 mod back;
+mod border;
 mod estimate;
 mod texture;
 
 pub use estimate::{Estimate, estimate};
 pub use texture::{TextureDeviation, texture_deviation};
 
-use crate::closest::{Facet, closest_of_four, closest_on_segment, closest_on_triangle, height_over, segment_distance};
+use crate::closest::{Facet, closest_of_four, closest_on_triangle, height_over, segment_distance};
 use crate::topology::{Fans, group};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -272,30 +273,6 @@ impl Field<'_> {
         self.pair.coarse[t as usize].map(|v| relative(self.pair.positions, origin, v))
     }
 
-    /// Distance of a position on an open border to the border of the level; 0 for others.
-    fn border_distance(&self, v: u32) -> f32 {
-        if !self.pair.open[v as usize] {
-            return 0.0;
-        }
-        let a = self.pair.ancestors[v as usize];
-        if a == v {
-            return 0.0;
-        }
-        let from = relative(self.pair.positions, v, a);
-        let around = self.fans.around(a);
-        let others = |t: u32| self.pair.coarse[t as usize].into_iter().filter(|&x| x != a);
-        let mut best = f32::INFINITY;
-        for &t in around {
-            for x in others(t) {
-                if around.iter().filter(|&&o| others(o).any(|y| y == x)).count() == 1 {
-                    let q = closest_on_segment(Vec3::ZERO, from, relative(self.pair.positions, v, x));
-                    best = best.min(q.length());
-                }
-            }
-        }
-        if best.is_finite() { best } else { from.length() }
-    }
-
     /// One look at the input triangles `own` of cluster `c`.
     fn share(&self, c: u32, own: &[u32], nearest: &[(f32, u32)]) -> Share {
         let mut share = Share { floor: 0.0, candidates: Vec::new(), abroad: Vec::new(), squares: (0.0, 0.0) };
@@ -303,7 +280,7 @@ impl Field<'_> {
             let corners = self.pair.triangles[t as usize];
             let images = corners.map(|v| nearest[v as usize]);
             let most = images.iter().map(|i| i.0).fold(0.0, f32::max);
-            share.floor = share.floor.max(most).max(self.borders_distance(corners));
+            share.floor = share.floor.max(most).max(self.borders_distance(corners, images.map(|i| i.0)));
             if most >= share.floor * GOOD_ENOUGH * PLAUSIBLE {
                 share.candidates.push(t);
             }
@@ -326,16 +303,13 @@ impl Field<'_> {
         (images.iter().map(|i| f64::from(i.0).powi(2)).sum::<f64>() / 3.0 * area, area)
     }
 
-    fn borders_distance(&self, t: [u32; 3]) -> f32 {
-        t.into_iter().map(|v| self.border_distance(v)).fold(0.0, f32::max)
-    }
-
     /// Bound over the input triangles of a cluster and `others` that map onto it: branch and bound, the part with the
     /// largest bound first.
     fn cluster_bound(&self, share: &Share, others: &[u32], nearest: &[(f32, u32)]) -> f32 {
         let mut floor = share.floor;
         for t in others.iter().map(|&t| self.pair.triangles[t as usize]) {
-            floor = t.iter().map(|&v| nearest[v as usize].0).fold(floor, f32::max).max(self.borders_distance(t));
+            let distances = t.map(|v| nearest[v as usize].0);
+            floor = distances.into_iter().fold(floor, f32::max).max(self.borders_distance(t, distances));
         }
         let mut parts: BinaryHeap<Part> = share
             .candidates

@@ -17,6 +17,9 @@ pub struct OneWay {
     pub rms: f64,
     /// Largest over the samples and the vertices.
     pub max: f64,
+    /// The same where no point counts with more than the radius of the connected part that it is on, half the diagonal of its box:
+    /// a part that the other surface lacks counts with its size, wherever the rest is.
+    pub max_within_parts: f64,
 }
 
 /// Both ways.
@@ -32,6 +35,11 @@ impl TwoWay {
         self.a_to_b.rms.max(self.b_to_a.rms)
     }
 
+    /// The largest distance of `a` from `b`, and back, where parts that `a` lacks count with their size.
+    pub fn max_but_for_lost_parts(&self) -> f64 {
+        self.a_to_b.max.max(self.b_to_a.max_within_parts)
+    }
+
     /// The larger of the two maxima.
     pub fn max(&self) -> f64 {
         self.a_to_b.max.max(self.b_to_a.max)
@@ -44,6 +52,8 @@ pub struct Surface {
     tree: TriMesh,
     /// Areas summed up to and including each triangle.
     area: Vec<f64>,
+    /// Per vertex: radius of the connected part that it is on.
+    part_radius: Vec<f64>,
 }
 
 impl Surface {
@@ -58,7 +68,7 @@ impl Surface {
             *sum += triangle_area(t.map(|i| mesh.positions[i as usize]));
             Some(*sum)
         });
-        Ok(Surface { area: area.collect(), mesh, tree })
+        Ok(Surface { area: area.collect(), part_radius: part_radii(&mesh), mesh, tree })
     }
 
     fn distance(&self, p: [f64; 3]) -> f64 {
@@ -66,8 +76,8 @@ impl Surface {
         self.tree.project_local_point(point, false).point.distance(point)
     }
 
-    /// `count` points, evenly by area, the same for the same seed.
-    fn samples(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
+    /// `count` points, evenly by area, the same for the same seed, each with a vertex of its triangle.
+    fn samples(&self, count: usize, seed: u64) -> Vec<([f64; 3], u32)> {
         let mut random = Random::new(seed);
         let total = *self.area.last().expect("checked: there are triangles");
         let mut sample = |i: usize| {
@@ -79,23 +89,61 @@ impl Surface {
                 (u, v) = (1.0 - u, 1.0 - v);
             }
             let [a, b, c] = self.mesh.triangles[triangle].map(|i| self.mesh.positions[i as usize]);
-            std::array::from_fn(|k| a[k] + (b[k] - a[k]) * u + (c[k] - a[k]) * v)
+            let point = std::array::from_fn(|k| a[k] + (b[k] - a[k]) * u + (c[k] - a[k]) * v);
+            (point, self.mesh.triangles[triangle][0])
         };
         (0..count).map(&mut sample).collect()
     }
 
     /// Distances from points of this surface to the other.
     pub fn to(&self, other: &Surface, count: usize, seed: u64) -> OneWay {
-        let distances: Vec<f64> = self.samples(count, seed).par_iter().map(|&p| other.distance(p)).collect();
-        let vertices = self.mesh.positions.par_iter().map(|&p| other.distance(p)).reduce(|| 0.0, f64::max);
-        let squares: f64 = distances.iter().map(|d| d * d).sum();
-        OneWay { rms: (squares / count as f64).sqrt(), max: distances.iter().copied().fold(vertices, f64::max) }
+        let look = |(p, vertex): ([f64; 3], u32)| {
+            let distance = other.distance(p);
+            (distance, distance.min(self.part_radius[vertex as usize]))
+        };
+        let largest = |a: (f64, f64), b: (f64, f64)| (a.0.max(b.0), a.1.max(b.1));
+        let samples: Vec<(f64, f64)> = self.samples(count, seed).into_par_iter().map(look).collect();
+        let vertices = self.mesh.positions.par_iter().enumerate().map(|(i, &p)| look((p, i as u32)));
+        let vertices = vertices.reduce(Default::default, largest);
+        let squares: f64 = samples.iter().map(|d| d.0 * d.0).sum();
+        let (max, max_within_parts) = samples.into_iter().fold(vertices, largest);
+        OneWay { rms: (squares / count as f64).sqrt(), max, max_within_parts }
     }
 
     /// Both ways between two surfaces.
     pub fn both_ways(&self, other: &Surface, count: usize, seed: u64) -> TwoWay {
         TwoWay { a_to_b: self.to(other, count, seed), b_to_a: other.to(self, count, seed ^ 0x5eed) }
     }
+}
+
+/// Per vertex, half the diagonal of the box of its connected part.
+fn part_radii(mesh: &Mesh) -> Vec<f64> {
+    let mut part: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    fn root(part: &mut [u32], mut v: u32) -> u32 {
+        while part[v as usize] != v {
+            part[v as usize] = part[part[v as usize] as usize];
+            v = part[v as usize];
+        }
+        v
+    }
+    for &[a, b, c] in &mesh.triangles {
+        let a = root(&mut part, a);
+        for other in [b, c] {
+            let other = root(&mut part, other);
+            part[other as usize] = a;
+        }
+    }
+    let roots: Vec<u32> = (0..mesh.positions.len() as u32).map(|v| root(&mut part, v)).collect();
+    let mut boxes = vec![([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]); roots.len()];
+    for (&r, p) in roots.iter().zip(&mesh.positions) {
+        let (low, high) = &mut boxes[r as usize];
+        (0..3).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
+    }
+    let diagonal = |&r: &u32| {
+        let (low, high) = boxes[r as usize];
+        (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<f64>().sqrt() / 2.0
+    };
+    roots.iter().map(diagonal).collect()
 }
 
 fn triangle_area([a, b, c]: [[f64; 3]; 3]) -> f64 {
@@ -128,6 +176,11 @@ mod tests {
         };
         let found = between(&square(0.0, 1.0), &square(0.25, 1.0));
         assert!((found.a_to_b.rms - 0.25).abs() < 1e-12 && (found.b_to_a.max - 0.25).abs() < 1e-12);
+        let mut with_part = square(0.0, 1.0);
+        with_part.positions.extend([[0.0, 0.0, 9.0], [0.3, 0.0, 9.0], [0.0, 0.4, 9.0]]);
+        with_part.triangles.push([4, 5, 6]);
+        let lost = between(&square(0.0, 1.0), &with_part);
+        assert_eq!((lost.max(), lost.max_but_for_lost_parts()), (9.0, 0.25));
         let larger = between(&square(0.0, 1.0), &square(0.0, 2.0));
         assert!(larger.a_to_b.max < 1e-12 && (larger.b_to_a.max - 2f64.sqrt()).abs() < 1e-9, "{larger:?}");
     }

@@ -1,6 +1,6 @@
 //! From the coarse surface back to the input, by samples.
 
-use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, NONE, UNREFINED, longest_edge, relative};
+use super::{FARTHEST_FROM_CORNERS, Field, GOOD_ENOUGH, LevelPair, NONE, UNREFINED, longest_edge, relative};
 use crate::closest::closest_on_triangle;
 use crate::topology::group;
 use glam::Vec3;
@@ -19,6 +19,8 @@ const TYPICAL_STEPS: u32 = 6;
 /// Samples along the edge of a coarse triangle at most.
 const MAX_STEPS: u32 = 12;
 
+/// Samples along the edge of a coarse triangle at a border at least.
+const RIM_STEPS: u32 = 6;
 /// Progress is told once per so many triangles.
 const TOLD: usize = 256;
 
@@ -85,6 +87,7 @@ impl Field<'_> {
         let lengths: Vec<f32> = self.pair.coarse.par_iter().map(longest).collect();
         let mean = lengths.iter().map(|&l| f64::from(l)).sum::<f64>() as f32 / lengths.len().max(1) as f32;
         let below = few.then(|| Below::new(nearest, self.pair.coarse.len()));
+        let rims = self.rims();
         let begun = AtomicUsize::new(0);
         let samples = |(i, ((tri, &cluster), &length)): (usize, ((&[u32; 3], &u32), &f32))| {
             if i % TOLD == 0 {
@@ -98,6 +101,8 @@ impl Field<'_> {
             }
             let p = tri.map(|v| relative(self.pair.positions, tri[0], v));
             let steps = typical.max((typical as f32 * length / mean) as u32).min(MAX_STEPS);
+            // It may fill a hole.
+            let steps = if tri.iter().any(|&v| rims[v as usize]) { steps.max(RIM_STEPS) } else { steps };
             let enough = (floor / GOOD_ENOUGH).powi(2);
             let start = |at: Vec3| below.as_ref().and_then(|b| b.nearest(self, i, at));
             let distance = |at: Vec3, k: usize| {
@@ -120,6 +125,15 @@ impl Field<'_> {
             most
         };
         self.pair.coarse.par_iter().zip(self.pair.coarse_cluster_of).zip(&lengths).enumerate().map(samples).collect()
+    }
+
+    /// Per position: does one of an open border lie there at the level?
+    fn rims(&self) -> Vec<bool> {
+        let LevelPair { open, ancestors, .. } = self.pair;
+        let on_border = (0..open.len()).into_par_iter().filter(|&v| open[v]).map(|v| ancestors[v]);
+        let mut rims = vec![false; open.len()];
+        on_border.collect::<Vec<u32>>().into_iter().for_each(|v| rims[v as usize] = true);
+        rims
     }
 
     /// Distance of `at`, relative to `origin`, from some triangles of the input.
