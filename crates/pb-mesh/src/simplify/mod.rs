@@ -139,16 +139,17 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
     let early = |share| progress(share * HEAD_START_SHARE as f32);
     let (patches, died) = head_start::patches(input, &mut search, &forest, ratio, &early);
     let seams = group_seams(build_seams(input, &patches));
-    let mut tries = Tries::new(input);
+    let steps = Steps { positions: input.positions.len(), ratio, count: levels - 1 };
+    let mut tries = Tries::new(input, steps);
     let mut state = State { patches, seams, search, alive: input.positions.len() - died };
     for level in 0..levels - 1 {
-        let target = input.positions.len() as f64 / ratio.powi(level as i32 + 1);
+        let target = steps.target(level);
         state.start_level(level, ratio);
         let report = |way| progress(share_done(levels - 1, ratio, level, way));
         if level == COARSE_LEVEL {
             state.reweigh(Weights::COARSE, target);
         }
-        if level == 0 || !tries.run_level(&mut state, target) {
+        if level == 0 || !tries.run_level(&mut state, level) {
             state.run_level(target, level > 0, &report);
         }
         report(1.0);
@@ -157,6 +158,22 @@ pub fn simplify(input: &UnisonInput, levels: usize, ratio: f64, progress: &(dyn 
         counts.push(state.alive + state.patches.iter().map(|p| lock(p).point_count()).sum::<usize>());
     }
     collect(&state.patches, input, forest, counts)
+}
+
+/// The ways between levels: step `i` goes from level `i` to the next coarser one.
+#[derive(Clone, Copy)]
+struct Steps {
+    /// Of the input.
+    positions: usize,
+    ratio: f64,
+    count: usize,
+}
+
+impl Steps {
+    /// How many positions a step is to leave.
+    fn target(&self, step: usize) -> f64 {
+        self.positions as f64 / self.ratio.powi(step as i32 + 1)
+    }
 }
 
 impl Clone for State {

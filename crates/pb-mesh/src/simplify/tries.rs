@@ -5,16 +5,19 @@
 
 use super::compact::Forest;
 use super::weights::Weights;
-use super::{State, UnisonInput, WATCHED_COUNT, lock};
+use super::{State, Steps, UnisonInput, WATCHED_COUNT, lock};
 use crate::deviation::{LevelPair, estimate};
 use crate::topology::{Fans, Kind};
 use rayon::prelude::*;
 
 /// Vertices that all tries of a level start with together: time and memory.
-const BUDGET: usize = 1 << 16;
+const BUDGET: usize = 1 << 17;
 /// Tries of a level: fewer are not worth their judge, more hardly find better ones.
-const MIN_TRIES: usize = 4;
+const MIN_TRIES: usize = 8;
 const MAX_TRIES: usize = 32;
+/// The best tries are judged by what they lead to, each by so many tries of the next level.
+const FINALISTS: usize = 3;
+const OUTLOOK_TRIES: usize = 8;
 /// Levels are judged against the finest one that has at most so many positions.
 const MAX_JUDGED: usize = 1 << 15;
 /// How much more the mean distance counts than the largest one.
@@ -41,34 +44,62 @@ impl Weights {
 /// Makes levels several times where that is worth it.
 pub(super) struct Tries<'a> {
     input: &'a UnisonInput<'a>,
+    steps: Steps,
     judge: Option<Judge>,
+}
+
+/// A level that was made.
+struct Try {
+    /// Lower is better.
+    score: f64,
+    number: usize,
+    state: State,
 }
 
 impl<'a> Tries<'a> {
     /// Before the first collapse.
-    pub fn new(input: &'a UnisonInput) -> Self {
-        let mut tries = Tries { input, judge: None };
+    pub fn new(input: &'a UnisonInput, steps: Steps) -> Self {
+        let mut tries = Tries { input, steps, judge: None };
         if input.positions.len() <= MAX_JUDGED {
             tries.judge = Some(Judge::new(input, (0..input.positions.len() as u32).collect(), input.triangles));
         }
         tries
     }
 
-    /// Takes a mesh to a level with `target` vertices in several ways, and keeps the best; `false` when that is not worth it, and
-    /// nothing was done.
-    pub fn run_level(&self, state: &mut State, target: f64) -> bool {
+    /// Takes a mesh through a step in several ways, and keeps the one that leads to the best levels, this one and the next; `false` when
+    /// that is not worth it, and nothing was done.
+    pub fn run_level(&self, state: &mut State, step: usize) -> bool {
         let tries = BUDGET / state.patches.iter().map(|p| lock(p).size()).sum::<usize>().max(1);
         let Some(judge) = self.judge.as_ref().filter(|_| tries >= MIN_TRIES) else { return false };
-        let attempt = |i: usize| {
-            let mut own = state.clone();
-            own.reweigh(Weights::of_try(i), target);
-            own.run_level(target, true, &|_| ());
-            (judge.score(&own), i, own)
-        };
-        let made: Vec<(f64, usize, State)> = (0..tries.min(MAX_TRIES)).into_par_iter().map(attempt).collect();
-        let best = made.into_iter().min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        *state = best.expect("several were made").2;
+        let mut made = self.made(judge, state, step, tries.min(MAX_TRIES));
+        let order = |a: &Try, b: &Try| a.score.total_cmp(&b.score).then(a.number.cmp(&b.number));
+        if step + 1 < self.steps.count {
+            made.sort_by(order);
+            made.truncate(FINALISTS);
+            made.par_iter_mut().for_each(|t| t.score += self.outlook(judge, &t.state, step + 1));
+        }
+        *state = made.into_iter().min_by(order).expect("several were made").state;
         true
+    }
+
+    /// The first tries of a step.
+    fn made(&self, judge: &Judge, state: &State, step: usize, count: usize) -> Vec<Try> {
+        let target = self.steps.target(step);
+        let attempt = |number: usize| {
+            let mut own = state.clone();
+            own.reweigh(Weights::of_try(number), target);
+            own.run_level(target, true, &|_| ());
+            Try { score: judge.score(&own), number, state: own }
+        };
+        (0..count).into_par_iter().map(attempt).collect()
+    }
+
+    /// The best score among a few tries of the next step.
+    fn outlook(&self, judge: &Judge, state: &State, step: usize) -> f64 {
+        let mut state = state.clone();
+        state.start_level(step, self.steps.ratio);
+        let made = self.made(judge, &state, step, OUTLOOK_TRIES);
+        made.into_iter().map(|t| t.score).fold(f64::INFINITY, f64::min)
     }
 
     /// The collapses up to level `level` were handed over.
@@ -171,10 +202,17 @@ mod tests {
     use glam::Vec3;
 
     #[test]
-    fn several_tries_are_better_than_the_usual_weights() {
+    fn several_tries_are_better_than_the_usual_weights_and_the_next_level_counts_too() {
+        let gains: Vec<f64> = [0.0, 1.0, 2.0, 3.0].map(gain_of_outlook).to_vec();
+        assert!(gains.iter().all(|&g| g >= 0.0) && gains.iter().any(|&g| g > 0.01), "{gains:?}");
+    }
+
+    /// Makes level 2 of a bumpy sheet in the usual way, in several ways, and in several ways with a look at level 3; how much better
+    /// both levels are for the look.
+    fn gain_of_outlook(phase: f64) -> f64 {
         const SIDE: u32 = 60;
         let at = |x: u32, y: u32| y * (SIDE + 1) + x;
-        let height = |x: f64, y: f64| 3.0 * (x * 0.4).sin() * (y * 0.3).cos() + (x * 1.3 + y * 0.7).sin();
+        let height = |x: f64, y: f64| 3.0 * (x * 0.4 + phase).sin() * (y * 0.3).cos() + (x * 1.3 + y * 0.7).sin();
         let all = || (0..=SIDE).flat_map(move |y| (0..=SIDE).map(move |x| (x, y)));
         let real =
             |(x, y): (u32, u32)| [f64::from(x), f64::from(y), height(x.into(), y.into())].map(|c: f64| c * 1000.0);
@@ -199,23 +237,28 @@ mod tests {
             texture: None,
         };
         let forest = Forest::new(positions.len(), 4);
-        let (mut search, mut tries) = (Search::new(&positions), Tries::new(&input));
+        let steps = Steps { positions: positions.len(), ratio: 4.0, count: 3 };
+        let (mut search, mut tries) = (Search::new(&positions), Tries::new(&input, steps));
         let (patches, died) = head_start::patches(&input, &mut search, &forest, 4.0, &|_| ());
         let seams = group_seams(build_seams(&input, &patches));
         let mut state = State { patches, seams, search, alive: positions.len() - died };
-        let target = |level: i32| positions.len() as f64 / 4f64.powi(level);
         state.start_level(0, 4.0);
-        state.run_level(target(1), false, &|_| ());
+        state.run_level(steps.target(0), false, &|_| ());
         hand_over(&state.patches, &mut state.seams, &forest, 0);
         tries.end_level(&state, &forest, 1);
 
         state.start_level(1, 4.0);
         let mut usual = state.clone();
-        usual.reweigh(Weights::of_try(0), target(2));
-        usual.run_level(target(2), true, &|_| ());
-        assert!(tries.run_level(&mut state, target(2)));
+        usual.reweigh(Weights::of_try(0), steps.target(1));
+        usual.run_level(steps.target(1), true, &|_| ());
+        let mut short_sighted = state.clone();
+        assert!(tries.run_level(&mut state, 1));
+        tries.steps.count = 2;
+        assert!(tries.run_level(&mut short_sighted, 1));
         let judge = tries.judge.as_ref().expect("a small model has one");
-        assert!(judge.score(&state) < judge.score(&usual), "no try was better");
-        assert!((state.alive as f64 / target(2) - 1.0).abs() < 0.02, "{} left", state.alive);
+        assert!(judge.score(&short_sighted) < judge.score(&usual), "no try was better");
+        assert!((state.alive as f64 / steps.target(1) - 1.0).abs() < 0.02, "{} left", state.alive);
+        let both = |s: &State| judge.score(s) + tries.outlook(judge, s, 2);
+        both(&short_sighted) - both(&state)
     }
 }
