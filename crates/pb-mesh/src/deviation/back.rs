@@ -105,12 +105,14 @@ impl Field<'_> {
             let steps = if tri.iter().any(|&v| rims[v as usize]) { steps.max(RIM_STEPS) } else { steps };
             let enough = (floor / GOOD_ENOUGH).powi(2);
             let start = |at: Vec3| below.as_ref().and_then(|b| b.nearest(self, i, at));
-            let distance = |at: Vec3, k: usize| {
-                let quick = self.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) * GOOD_ENOUGH;
-                if quick <= floor {
-                    return quick;
+            let mut last = tri[0];
+            let mut distance = |at: Vec3, k: usize| {
+                let quick;
+                (quick, last) = self.quick_distance_back(tri[0], [tri[k], last], at, enough);
+                if quick * GOOD_ENOUGH <= floor {
+                    return quick * GOOD_ENOUGH;
                 }
-                let far = |v: u32| self.distance_back([tri[0], v], at, Walk::Thorough, 0.0);
+                let far = |v: u32| self.distance_back([tri[0], v], at, Walk::Thorough, 0.0).0;
                 let thorough = start(at).into_iter().chain(*tri).map(far).fold(f32::INFINITY, f32::min);
                 if few && thorough * GOOD_ENOUGH > floor * UNREFINED {
                     // Thin parts hold walks up.
@@ -182,19 +184,26 @@ impl Field<'_> {
         tri.iter().all(|&v| !self.pair.fine.around(v).is_empty())
     }
 
+    /// The same as [`distance_back`](Self::distance_back) with quick walks, from the nearer of two positions.
+    pub(super) fn quick_distance_back(&self, origin: u32, starts: [u32; 2], at: Vec3, enough: f32) -> (f32, u32) {
+        let square = |v: u32| relative(self.pair.positions, origin, v).distance_squared(at);
+        let start = if square(starts[1]) < square(starts[0]) { starts[1] } else { starts[0] };
+        self.distance_back([origin, start], at, Walk::Quick, enough)
+    }
+
     /// Walks over the input from position `start` down to `at`, relative to position `origin`; goes no further where the squared
-    /// distance is not above `enough`.
-    pub(super) fn distance_back(&self, [origin, start]: [u32; 2], at: Vec3, walk: Walk, enough: f32) -> f32 {
+    /// distance is not above `enough`. The answer is the distance, and the position that the walk went to.
+    pub(super) fn distance_back(&self, [origin, start]: [u32; 2], at: Vec3, walk: Walk, enough: f32) -> (f32, u32) {
         let (start, square, below) = self.nearest_vertex(origin, start, at, enough);
         if square <= enough && !self.pair.fine.around(start).is_empty() {
-            return square.sqrt();
+            return (square.sqrt(), start);
         }
         let corners = |t: u32| self.pair.triangles[t as usize].map(|v| relative(self.pair.positions, origin, v));
         if enough > 0.0 && below != NONE {
             // Mostly the point is over the inside of this one.
             let square = closest_on_triangle(at, corners(below)).distance_squared(at);
             if square <= enough {
-                return square.sqrt();
+                return (square.sqrt(), start);
             }
         }
         let (mut best, mut nearest) = (f32::INFINITY, [start; 3]);
@@ -210,7 +219,7 @@ impl Field<'_> {
                     if square < best {
                         best = square;
                         if best <= enough {
-                            return best.sqrt();
+                            return (best.sqrt(), center);
                         }
                         next = fine;
                         let far = |c: usize| corners[c].distance_squared(at);
@@ -224,6 +233,6 @@ impl Field<'_> {
             }
             nearest = next;
         }
-        best.sqrt()
+        (best.sqrt(), nearest[0])
     }
 }

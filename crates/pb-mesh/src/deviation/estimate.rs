@@ -39,12 +39,21 @@ pub fn estimate(pair: &LevelPair) -> Estimate {
     let below = Below::new(&nearest, pair.coarse.len());
     for (i, tri) in pair.coarse.iter().enumerate() {
         let p = tri.map(|v| relative(pair.positions, tri[0], v));
+        let mut last = tri[0];
         let mut look = |at: Vec3, k: usize| {
             let enough = max * max;
-            if field.distance_back([tri[0], tri[k]], at, Walk::Quick, enough) > max {
+            let quick;
+            (quick, last) = field.quick_distance_back(tri[0], [tri[k], last], at, enough);
+            if quick > max {
                 let starts = below.nearest(&field, i, at).into_iter().chain(*tri);
-                let far = |v: u32| field.distance_back([tri[0], v], at, Walk::Thorough, enough);
-                max = max.max(starts.map(far).fold(f32::INFINITY, f32::min));
+                let far = |v: u32| field.distance_back([tri[0], v], at, Walk::Thorough, enough).0;
+                let mut least = f32::INFINITY;
+                // As far as it matters.
+                starts.map(far).any(|d| {
+                    least = least.min(d);
+                    least <= max
+                });
+                max = max.max(least);
             }
         };
         for (weights, nearest) in inner_points(steps) {
