@@ -351,7 +351,8 @@ impl BakeSummary {
             let _ = write!(text, "peak memory: {} MiB", bytes >> 20);
             let _ = match self.memory_bound_bytes {
                 Some(bound) => {
-                    writeln!(text, " of {} MiB; {} MiB moved to a temporary file", bound >> 20, self.spilled_bytes >> 20)
+                    let moved = self.spilled_bytes >> 20;
+                    writeln!(text, " of {} MiB; {moved} MiB moved to a temporary file", bound >> 20)
                 }
                 None => writeln!(text),
             };
