@@ -9,8 +9,9 @@ use super::{State, Steps, UnisonInput, WATCHED_COUNT, lock};
 use crate::deviation::{LevelPair, estimate};
 use crate::topology::{Fans, Kind};
 use rayon::prelude::*;
+use std::sync::Mutex;
 
-/// Vertices that all tries of a level start with together: time and memory.
+/// Vertices that all tries of a level start with together: time.
 const BUDGET: usize = 1 << 17;
 /// Tries of a level: fewer are not worth their judge, more hardly find better ones.
 const MIN_TRIES: usize = 8;
@@ -38,6 +39,13 @@ impl Weights {
     fn of_try(i: usize) -> Self {
         let (witness, sixteenths) = GRID[i];
         Weights { witness, sixteenths, vanish: if i.is_multiple_of(2) { 1.0 } else { RELUCTANT * witness } }
+    }
+}
+
+impl Try {
+    /// The better one first; the same on any number of threads.
+    fn order(&self, other: &Try) -> std::cmp::Ordering {
+        self.score.total_cmp(&other.score).then(self.number.cmp(&other.number))
     }
 }
 
@@ -71,35 +79,37 @@ impl<'a> Tries<'a> {
     pub fn run_level(&self, state: &mut State, step: usize) -> bool {
         let tries = BUDGET / state.patches.iter().map(|p| lock(p).size()).sum::<usize>().max(1);
         let Some(judge) = self.judge.as_ref().filter(|_| tries >= MIN_TRIES) else { return false };
-        let mut made = self.made(judge, state, step, tries.min(MAX_TRIES));
-        let order = |a: &Try, b: &Try| a.score.total_cmp(&b.score).then(a.number.cmp(&b.number));
-        if step + 1 < self.steps.count {
-            made.sort_by(order);
-            made.truncate(FINALISTS);
-            made.par_iter_mut().for_each(|t| t.score += self.outlook(judge, &t.state, step + 1));
+        let is_last = step + 1 == self.steps.count;
+        let mut best = self.best(judge, state, step, tries.min(MAX_TRIES), if is_last { 1 } else { FINALISTS });
+        if !is_last {
+            best.par_iter_mut().for_each(|t| t.score += self.outlook(judge, &t.state, step + 1));
         }
-        *state = made.into_iter().min_by(order).expect("several were made").state;
+        *state = best.into_iter().min_by(Try::order).expect("several were made").state;
         true
     }
 
-    /// The first tries of a step.
-    fn made(&self, judge: &Judge, state: &State, step: usize, count: usize) -> Vec<Try> {
+    /// The best ones among the first tries of a step, in their order; no more of them are held.
+    fn best(&self, judge: &Judge, state: &State, step: usize, count: usize, wanted: usize) -> Vec<Try> {
         let target = self.steps.target(step);
-        let attempt = |number: usize| {
+        let best = Mutex::new(Vec::new());
+        (0..count).into_par_iter().for_each(|number| {
             let mut own = state.clone();
             own.reweigh(Weights::of_try(number), target);
             own.run_level(target, true, &|_| ());
-            Try { score: judge.score(&own), number, state: own }
-        };
-        (0..count).into_par_iter().map(attempt).collect()
+            let made = Try { score: judge.score(&own), number, state: own };
+            let mut best = best.lock().expect("no thread panics while it holds the list");
+            best.push(made);
+            best.sort_by(Try::order);
+            best.truncate(wanted);
+        });
+        best.into_inner().expect("the same")
     }
 
     /// The best score among a few tries of the next step.
     fn outlook(&self, judge: &Judge, state: &State, step: usize) -> f64 {
         let mut state = state.clone();
         state.start_level(step, self.steps.ratio);
-        let made = self.made(judge, &state, step, OUTLOOK_TRIES);
-        made.into_iter().map(|t| t.score).fold(f64::INFINITY, f64::min)
+        self.best(judge, &state, step, OUTLOOK_TRIES, 1)[0].score
     }
 
     /// The collapses up to level `level` were handed over.
