@@ -88,28 +88,23 @@ fn a_seam_that_moves_counts_on_both_of_its_sides() {
 
 #[test]
 fn costs_of_texture_keep_it_in_place() {
-    // Cut, and what is left of the largest and of the root mean square slide without the costs at level 2, in the median of
-    // five meshes: a single largest one may be anything.
-    for (cut, largest, common) in
-        [(Cut::Strips(16), 0.7, 0.85), (Cut::Cells(12), 0.9, 0.85), (Cut::Darts(24), 0.6, 0.85)]
-    {
+    // At level 2, in terms of what it is without the costs: what 95 % of the wedges slide at most, in each of five meshes, and the root
+    // mean square, in the median of them: corners that leave their chart and charts that vanish count in it as they happen to.
+    for cut in [Cut::Strips(16), Cut::Cells(12), Cut::Darts(24)] {
         let ratios = (1..=5).map(|seed| {
             let mesh =
                 Recipe { shape: Shape::Torus, n: 96, cut, seed, cluster: 9999, jitter: 0.02, units: FINE }.build();
             let slides = |collapses: Collapses| {
                 let level = deviations(&mesh, &collapses).remove(2);
                 let rms = (level.squares.0 / level.squares.1 as f64).sqrt();
-                [f64::from(level.max.into_iter().fold(0.0, f32::max)), rms]
+                [f64::from(level.most.into_iter().fold(0.0, f32::max)), rms]
             };
             let (with, without) = (slides(mesh.simplify(3, 4.0)), slides(mesh.simplify_carelessly(3, 4.0)));
             [with[0] / without[0], with[1] / without[1]]
         });
         let ratios: Vec<[f64; 2]> = ratios.collect();
-        let median = |k: usize| {
-            let mut list: Vec<f64> = ratios.iter().map(|r| r[k]).collect();
-            list.sort_by(f64::total_cmp);
-            list[list.len() / 2]
-        };
-        assert!(median(0) < largest && median(1) < common, "{cut:?}: {ratios:?}");
+        let mut rms: Vec<f64> = ratios.iter().map(|r| r[1]).collect();
+        rms.sort_by(f64::total_cmp);
+        assert!(ratios.iter().all(|r| r[0] < 0.85) && rms[rms.len() / 2] < 0.85, "{cut:?}: {ratios:?}");
     }
 }
