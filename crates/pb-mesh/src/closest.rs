@@ -4,13 +4,7 @@ use glam::{Vec2, Vec3, Vec4};
 
 /// Point of triangle `t` nearest to `p`.
 pub(crate) fn closest_on_triangle(p: Vec3, t: [Vec3; 3]) -> Vec3 {
-    closest_feature(p, t).0
-}
-
-/// Point of triangle `t` nearest to `p`, and the corners that it is a mix of as bits.
-pub(crate) fn closest_feature(p: Vec3, t: [Vec3; 3]) -> (Vec3, u8) {
-    let (offset, corners) = Facet::new(t[1] - t[0], t[2] - t[0]).closest(p - t[0]);
-    (t[0] + offset, corners)
+    t[0] + Facet::new(t[1] - t[0], t[2] - t[0]).closest(p - t[0]).0
 }
 
 /// A triangle by its edges from its first corner, ready to be asked for nearest points (Ericson, Real-Time Collision

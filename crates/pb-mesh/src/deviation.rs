@@ -18,11 +18,11 @@ pub use estimate::{Estimate, estimate};
 pub use texture::{TextureDeviation, texture_deviation};
 
 use crate::closest::{Facet, closest_of_four, closest_on_triangle, height_over, segment_distance};
+use crate::progress::share_of;
 use crate::topology::{Fans, group};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Shares of the time that have gone by when every position has its nearest triangle, and when the way back begins, for
 /// progress displays.
@@ -108,13 +108,9 @@ pub fn measure(pair: &LevelPair, clusters: usize, progress: &(dyn Fn(f32) + Sync
     progress(NEAREST_SHARE);
     let (starts, own) = group(clusters, pair.cluster_of.as_chunks::<1>().0);
     let own = |c: usize| &own[starts[c] as usize..starts[c + 1] as usize];
-    let shared = AtomicUsize::new(0);
-    let share = |c: usize| {
-        let share = field.share(c as u32, own(c), &nearest);
-        let done = (shared.fetch_add(1, Ordering::Relaxed) + 1) as f32 / clusters as f32;
-        progress(NEAREST_SHARE + done * (BACK_SHARE - NEAREST_SHARE));
-        share
-    };
+    let way_there = |done| progress(NEAREST_SHARE + done * (BACK_SHARE - NEAREST_SHARE));
+    let counted = share_of(clusters, &way_there);
+    let share = |c: usize| counted(field.share(c as u32, own(c), &nearest));
     let shares: Vec<Share> = (0..clusters).into_par_iter().map(share).collect();
     let others = foreign(&shares);
     let mut max: Vec<f32> =

@@ -13,6 +13,7 @@ pub mod numbering;
 pub mod objects;
 pub mod order;
 pub mod polygon;
+pub mod progress;
 pub mod repair;
 pub mod segment;
 pub mod simplify;

@@ -8,6 +8,7 @@ use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
+use crate::parts::Parts;
 use crate::random::Random;
 
 /// Distances from one surface to another, input units.
@@ -118,32 +119,22 @@ impl Surface {
 
 /// Per vertex, half the diagonal of the box of its connected part.
 fn part_radii(mesh: &Mesh) -> Vec<f64> {
-    let mut part: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    fn root(part: &mut [u32], mut v: u32) -> u32 {
-        while part[v as usize] != v {
-            part[v as usize] = part[part[v as usize] as usize];
-            v = part[v as usize];
-        }
-        v
-    }
+    let mut parts = Parts::new(mesh.positions.len());
     for &[a, b, c] in &mesh.triangles {
-        let a = root(&mut part, a);
-        for other in [b, c] {
-            let other = root(&mut part, other);
-            part[other as usize] = a;
-        }
+        parts.join(a, b);
+        parts.join(a, c);
     }
-    let roots: Vec<u32> = (0..mesh.positions.len() as u32).map(|v| root(&mut part, v)).collect();
-    let mut boxes = vec![([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]); roots.len()];
-    for (&r, p) in roots.iter().zip(&mesh.positions) {
-        let (low, high) = &mut boxes[r as usize];
+    let parts = parts.list();
+    let mut boxes = vec![([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]); parts.len()];
+    for (&part, p) in parts.iter().zip(&mesh.positions) {
+        let (low, high) = &mut boxes[part as usize];
         (0..3).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
     }
-    let diagonal = |&r: &u32| {
-        let (low, high) = boxes[r as usize];
+    let radius = |&part: &u32| {
+        let (low, high) = boxes[part as usize];
         (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<f64>().sqrt() / 2.0
     };
-    roots.iter().map(diagonal).collect()
+    parts.iter().map(radius).collect()
 }
 
 fn triangle_area([a, b, c]: [[f64; 3]; 3]) -> f64 {

@@ -12,6 +12,7 @@ mod landscape;
 mod levels;
 mod memory;
 mod mesh;
+mod parts;
 mod pops;
 mod random;
 mod reference;

@@ -9,6 +9,7 @@ use image::GrayImage;
 use std::collections::HashMap;
 use std::path::Path;
 
+use crate::parts::Parts;
 use crate::reference::camera::Flypath;
 use crate::reference::scene::Scene;
 use crate::reference::{NONE, visible};
@@ -89,24 +90,16 @@ impl Borders {
 
 /// Charts by triangle: those that share a corner in cluster, place and coordinates are one.
 fn charts(scene: &Scene) -> Vec<u32> {
-    let mut parent: Vec<u32> = (0..scene.triangles.len() as u32).collect();
-    fn root(parent: &mut [u32], mut t: u32) -> u32 {
-        while parent[t as usize] != t {
-            parent[t as usize] = parent[parent[t as usize] as usize];
-            t = parent[t as usize];
-        }
-        t
-    }
+    let mut parts = Parts::new(scene.triangles.len());
     let mut first = HashMap::new();
     for (i, t) in scene.triangles.iter().enumerate() {
         for k in 0..3 {
             let place = scene.positions[t.corners[k] as usize].to_array().map(f64::to_bits);
             let other = *first.entry((t.material, place, t.uv[k].map(f32::to_bits))).or_insert(i as u32);
-            let (a, b) = (root(&mut parent, i as u32), root(&mut parent, other));
-            parent[a.max(b) as usize] = a.min(b);
+            parts.join(i as u32, other);
         }
     }
-    (0..parent.len() as u32).map(|t| root(&mut parent, t)).collect()
+    parts.list()
 }
 
 #[cfg(test)]

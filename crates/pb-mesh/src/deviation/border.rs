@@ -75,8 +75,7 @@ impl Field<'_> {
             let t = self.pair.triangles[t as usize];
             t[(t.iter().position(|&x| x == v).expect("in its fan") + k) % 3]
         };
-        let ends = around.iter().map(|&t| corner(t, 1));
-        ends.into_iter().find(|&end| !around.iter().any(|&o| corner(o, 2) == end))
+        around.iter().map(|&t| corner(t, 1)).find(|&end| !around.iter().any(|&o| corner(o, 2) == end))
     }
 }
 

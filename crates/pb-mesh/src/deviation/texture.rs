@@ -7,11 +7,11 @@
 
 use super::relative;
 use crate::closest::{closest_in_uv, closest_on_segment};
+use crate::progress::share_of;
 use crate::segment::Segmentation;
 use crate::simplify::{Collapses, UvInput};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Cells along a side of a chart's grid at most.
 const MAX_CELLS: usize = 256;
@@ -42,12 +42,10 @@ pub fn texture_deviation(
     progress: &(dyn Fn(f32) + Sync),
 ) -> Vec<TextureDeviation> {
     let levels = collapses.counts.len();
-    let done = AtomicUsize::new(0);
+    let counted = share_of(segmentation.len(), progress);
     let measure = |c: usize| {
         let charts = ClusterCharts::new(positions, triangles, segmentation.cluster(c), uv, uv.unit(c));
-        let slides = (0..levels as u8).map(|level| charts.slides(collapses, level)).collect();
-        progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / segmentation.len() as f32);
-        slides
+        counted((0..levels as u8).map(|level| charts.slides(collapses, level)).collect())
     };
     let clusters: Vec<Vec<Slides>> = (0..segmentation.len()).into_par_iter().map(measure).collect();
     let of_level = |level: usize| {

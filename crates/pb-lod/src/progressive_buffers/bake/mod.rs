@@ -35,6 +35,7 @@ use pb_archive::{ArchiveError, Spill};
 use pb_mesh::deviation::texture_deviation;
 use pb_mesh::material::Material;
 use pb_mesh::mesh::{Mesh, Wedge};
+use pb_mesh::progress::share_of;
 use pb_mesh::segment::{Segmentation, segment_objects};
 use pb_mesh::simplify::{UnisonInput, simplify};
 use pb_mesh::texture::NormalSpace;
@@ -42,7 +43,6 @@ use pb_mesh::texture::image::Image;
 use pb_mesh::topology::{Fans, Kind, border_pair, classify};
 use rayon::prelude::*;
 use std::convert::Infallible;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use surface::Surface;
 use tiles::fill_tiles;
 
@@ -252,7 +252,7 @@ pub fn bake_textured(
     let mut errors = measure_levels(&surface.triangles, &clusters, &collapses, levels, outside, &share);
     if let Some(tiles) = &tiles {
         let (points, segmentation) = (&clusters.grid.points, &clusters.segmentation);
-        let share = |x| progress(Stage::Measure, 1.0 - SLIDES_SHARE + x * SLIDES_SHARE);
+        let share = |x| progress(Stage::Measure, distances + x * SLIDES_SHARE);
         let slides = texture_deviation(points, &surface.triangles, segmentation, &tiles.uv_input(), &collapses, &share);
         add_slides(&mut errors, &slides, clusters.grid.quantum);
     }
@@ -321,15 +321,6 @@ fn for_clusters_with<K, T: Send>(
 ) -> Vec<T> {
     let share = share_of(count, progress);
     (0..count).into_par_iter().map_init(keep, |kept, c| share(job(kept, c))).collect()
-}
-
-/// Counts what passes through, and tells which share of `count` that is.
-fn share_of<T>(count: usize, progress: &(dyn Fn(f32) + Sync)) -> impl Fn(T) -> T + Sync {
-    let done = AtomicUsize::new(0);
-    move |result| {
-        progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / count as f32);
-        result
-    }
 }
 
 /// Mean normal of each position's wedges.
